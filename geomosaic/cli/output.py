@@ -64,7 +64,7 @@ _HERE = "\0/"
 
 
 def _as_typed(text: str) -> str:
-    """Text whose paths start from the current folder where they lie in it or were named from it (`..` in their middle)."""
+    """Text whose paths start from the current folder where they lie in it or were named from it."""
     if "/" not in text:
         return text
     try:

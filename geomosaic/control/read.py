@@ -180,8 +180,8 @@ def odm_measurements(path: PathLike, half: float = 0.5) -> tuple[str, list[tuple
     ----------
     path : path-like
     half : float
-        Added to image coordinates. OpenSfM, which OpenDroneMap reads them with, counts pixels by their centres from 0 (its
-        normalised coordinates are (x + 0.5 - width / 2) / size).
+        Added to image coordinates. OpenSfM, which OpenDroneMap reads them with, counts pixels by their centres from 0
+        (its normalised coordinates are (x + 0.5 - width / 2) / size).
 
     Returns
     -------

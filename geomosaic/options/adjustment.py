@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.check import SelfContainedOptions
 from geomosaic.options.declaration import option
 
 
@@ -56,7 +56,7 @@ def _setting(default: Any, text: str, **declared: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class AdjustmentOptions:
+class AdjustmentOptions(SelfContainedOptions):
     """Options of `adjust`.
 
     Attributes
@@ -160,7 +160,3 @@ class AdjustmentOptions:
         (), "Programs whose files are written, too, into `exports`.", shown="none",
         choices=("colmap", "colmap-text", "opensfm", "bundler", "bal", "metashape", "pix4d", "ori", "match", "adjust"),
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)

@@ -52,6 +52,21 @@ def check_values(value: Any) -> None:
                 object.__setattr__(value, one.name, settled)
 
 
+class CheckedOptions:
+    """Base of frozen options whose values are checked as they are made."""
+
+    def __post_init__(self) -> None:
+        check_values(self)
+
+
+class SelfContainedOptions(CheckedOptions):
+    """Base of options which do not depend on others: also those that would do nothing beside each other are refused."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_idle(self)
+
+
 def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool = False) -> Any:
     """Value of an option in its type and within its limits.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.check import CheckedOptions, SelfContainedOptions
 from geomosaic.options.declaration import option
 from geomosaic.options.inputs import PLANE_MODELS, Area
 from geomosaic.options.render import InputSigmas, OrientationSigmas, RenderOptions
@@ -79,7 +79,7 @@ def _pair(value: Any) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointFileOptions:
+class PointFileOptions(CheckedOptions):
     """What a file of control or check points does not declare.
 
     Attributes
@@ -109,9 +109,6 @@ class PointFileOptions:
     )  # fmt: skip
     without: tuple[str, ...] = option((), "Leave a point out; any number of times.", metavar="POINT", group="input")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class _ControlSource:
@@ -129,7 +126,7 @@ class _ControlSource:
 
 # Fields stand in the order of help and docs: those of the last base come first.
 @dataclass(frozen=True, kw_only=True)
-class ControlOptions(PointFileOptions, _ControlSource):
+class ControlOptions(PointFileOptions, _ControlSource, SelfContainedOptions):
     """Source of an image's control points, with what its file does not declare.
 
     Attributes
@@ -147,13 +144,9 @@ class ControlOptions(PointFileOptions, _ControlSource):
         metavar="LON LAT", parse=parse_place, group="input",
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_idle(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class CheckOptions:
+class CheckOptions(CheckedOptions):
     """Check points of a finished map, and the limits that it is held against.
 
     Attributes
@@ -191,12 +184,9 @@ class CheckOptions:
         metavar="PLAN",
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True)
-class FitOptions:
+class FitOptions(CheckedOptions):
     """Model of the fit and treatment of blunders.
 
     Attributes
@@ -238,9 +228,6 @@ class FitOptions:
         group="input",
     )
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
     @property
     def deletes(self) -> bool:
         """Whether the worst points are deleted."""
@@ -248,7 +235,7 @@ class FitOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VectorOptions:
+class VectorOptions(SelfContainedOptions):
     """Vectors that a fit carries to the map.
 
     Attributes
@@ -275,10 +262,6 @@ class VectorOptions:
         above=0.0, metavar="PIXELS", group="geometry",
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
-
 
 @dataclass(frozen=True)
 class GeoreferenceOptions:
@@ -301,7 +284,7 @@ class GeoreferenceOptions:
 
 
 @dataclass(frozen=True)
-class RegistrationOptions:
+class RegistrationOptions(CheckedOptions):
     """Displacement between two rasters.
 
     Attributes
@@ -323,9 +306,6 @@ class RegistrationOptions:
         shown="30 pixels of the coarser raster",
         group="input",
     )
-
-    def __post_init__(self) -> None:
-        check_values(self)
 
 
 @dataclass(frozen=True)
@@ -371,7 +351,7 @@ class PixelOptions(OrientationSigmas):
     )
 
     def __post_init__(self) -> None:
-        check_values(self)
+        super().__post_init__()
         if self.first_pixel not in (0.0, 0.5, 1.0):
             raise InputError(f"{self.first_pixel:g} is no centre of a pixel", where="`first_pixel`", hint="0.5, 0 or 1")
 
@@ -421,7 +401,7 @@ class DrawOptions(PixelOptions):
 
 
 @dataclass(frozen=True)
-class SearchOptions:
+class SearchOptions(CheckedOptions):
     """Limits of the search for fiducial marks.
 
     Attributes
@@ -452,12 +432,9 @@ class SearchOptions:
     mirrored: bool = option(False, "The scan shows the film from its back.")
     least: float = option(0.6, "Least correlation of a mark.", least=0.0, most=1.0)
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True)
-class TieOptions:
+class TieOptions(SelfContainedOptions):
     """Options of tie points that refine RPCs: their table, images that stay, standard deviation."""
 
     ties: Path | None = option(None, "Tie points between the images: id, image, col, row.", group="input")
@@ -469,13 +446,9 @@ class TieOptions:
         needs=("ties",),
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
-
 
 @dataclass(frozen=True)
-class RpcOptions:
+class RpcOptions(SelfContainedOptions):
     """Options of RPCs that are fitted or refined: heights of the fit, files that are written.
 
     Attributes
@@ -506,10 +479,6 @@ class RpcOptions:
         None, "Folder of text files and grids.", shown="beside the images", needs=("text", "grid")
     )
     overwrite: bool = option(False, "Replace an RPC that the image or the file has.")
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.check import CheckedOptions, SelfContainedOptions
 from geomosaic.options.declaration import named_only, option
 
 # Plane transformations of a photo, those of fewer parameters first.
@@ -104,7 +104,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class ListingLayout:
+class ListingLayout(CheckedOptions):
     """Declaration of how a printed list of orientations is to be read.
 
     Attributes
@@ -130,12 +130,9 @@ class ListingLayout:
     lines: int = option(1, "Lines of a record.", least=1, most=20, group="input")
     skip: int = option(0, "Lines at the top that are left out.", least=0, group="input")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True)
-class PlanarInputs:
+class PlanarInputs(SelfContainedOptions):
     """Inputs of a planar block: photos of flat ground placed together, without a rigorous model.
 
     Attributes
@@ -187,10 +184,6 @@ class PlanarInputs:
     )
     insist: bool = option(False, "Go on with points that are grossly wrong.", group="input", section="planar")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
-
     @property
     def blunder_policy(self) -> str:
         """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
@@ -226,7 +219,7 @@ def blunder_policy(robust: bool, insist: bool) -> str:
 
 
 @dataclass(frozen=True)
-class EdgeOptions:
+class EdgeOptions(CheckedOptions):
     """Fit of photos that are matched at their edges.
 
     Attributes
@@ -247,9 +240,6 @@ class EdgeOptions:
     robust: bool = option(False, "Leave out tie and control points that contradict the others.", group="input")
     insist: bool = option(False, "Go on with points that are grossly wrong.", group="input")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
     @property
     def blunder_policy(self) -> str:
         """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
@@ -258,7 +248,7 @@ class EdgeOptions:
 
 @named_only
 @dataclass(frozen=True)
-class BlockInputs:
+class BlockInputs(SelfContainedOptions):
     """Declaration of the inputs of a block; `geomosaic.inputs.declarations.Block` says what they mean to the library.
 
     Any stands for values of the library that may be given in place of a file.
@@ -385,13 +375,9 @@ class BlockInputs:
     base: Path = Path()
     planar: PlanarInputs | None = None
 
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
-
 
 @dataclass(frozen=True)
-class Area:
+class Area(SelfContainedOptions):
     """Area and pixel size of the output; what is not given follows from the images.
 
     Attributes
@@ -429,10 +415,6 @@ class Area:
         None, "Take CRS, pixels and extent of this raster.", metavar="RASTER", group="geometry"
     )
 
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
-
 
 def _limit(text: str, default: float | None = None, flag: str | None = None, **declared: Any) -> Any:
     """Limit of a project's [quality], which commands have as a flag only where it judges what one of them makes."""
@@ -445,7 +427,7 @@ CORNER_SIGMA_PX = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class QualityLimits:
+class QualityLimits(SelfContainedOptions):
     """Limits of the accuracy of a project's mosaic, and a reference image to compare it with.
 
     Attributes
@@ -484,7 +466,3 @@ class QualityLimits:
     quality_reference: Path | None = option(
         None, "Georeferenced raster to compare with.", flag=None, section="quality", key="reference"
     )
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.options.check import check_idle, check_values, is_given
+from geomosaic.options.check import CheckedOptions, check_idle, is_given
 from geomosaic.options.declaration import compose, flat_values, named_only, option
 from geomosaic.options.inputs import Area, EdgeOptions
 from geomosaic.options.render import RenderOptions, SampleOptions, UncertaintyOptions
@@ -62,7 +62,7 @@ def _parse_reference_day(text: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Retouch:
+class Retouch(CheckedOptions):
     """Change of one image's colour after the balance: value · gain + offset, the same for all bands.
 
     Attributes
@@ -76,13 +76,10 @@ class Retouch:
     gain: float = option(1.0, "Factor of all values.", above=0.0)
     offset: float = option(0.0, "Added to all values, grey values.")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @named_only
 @dataclass(frozen=True, kw_only=True)
-class ColourOptions:
+class ColourOptions(CheckedOptions):
     """Options of colour: the balance over overlaps, histogram matching, and touch-ups.
 
     Attributes
@@ -150,12 +147,9 @@ class ColourOptions:
         flag=None, group="colour", stage="edits", section="mosaic", idle_with=("rule",),
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True)
-class SeamWeights:
+class SeamWeights(CheckedOptions):
     """Weights of the seam cost terms, relative to one cell of seam at no other cost (`length`).
 
     Attributes
@@ -195,13 +189,10 @@ class SeamWeights:
         0.6, "Width of the zone of a seam, as a part of the distance of two centres.", least=0.0, most=1.0
     )
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @named_only
 @dataclass(frozen=True, kw_only=True)
-class SeamOptions:
+class SeamOptions(CheckedOptions):
     """Options of seamlines.
 
     Attributes
@@ -260,9 +251,6 @@ class SeamOptions:
         choices=("calmest", "tone"), group="seams", stage="seams", section="mosaic", needs=("water",),
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True)
 class Width:
@@ -294,7 +282,7 @@ class Width:
 
 @named_only
 @dataclass(frozen=True)
-class BlendOptions:
+class BlendOptions(CheckedOptions):
     """Options of blending across seams.
 
     Attributes
@@ -335,7 +323,7 @@ class BlendOptions:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check_values(self)
+        super().__post_init__()
         if self.blend in ("overlap", "edge", "cutline") and self.feather is not None and self.feather.value == 0.0:
             what = "a width of 0 leaves nothing to blend over"
             raise InputError(what, where="`feather`", hint="give a width, or `blend=none` for hard seams")
@@ -352,7 +340,7 @@ class BlendOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RuleOptions:
+class RuleOptions(CheckedOptions):
     """Options of a mosaic by rule instead of seams, and of which image comes first.
 
     Attributes
@@ -401,7 +389,7 @@ class RuleOptions:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check_values(self)
+        super().__post_init__()
         dated = [name for name in ("day", "season") if name in self.order]
         if self.day is None and dated:
             raise InputError(f"`order={dated[0]}` has no day to count from", hint="give `day`, such as 2024-07-15")
@@ -442,7 +430,7 @@ class TileSize:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions:
+class RecordOptions(CheckedOptions):
     """Options of what is written beside a mosaic.
 
     Attributes
@@ -485,9 +473,6 @@ class RecordOptions:
         None, "Write a grid of files of about this size, with a VRT, a tile index and a STAC collection.",
         metavar="16384px|10km", parse=TileSize.parse, stage="records",
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check_values(self)
 
 
 @named_only

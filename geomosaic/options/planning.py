@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from geomosaic.options.check import check_values
+from geomosaic.options.check import CheckedOptions
 from geomosaic.options.declaration import option
 from geomosaic.options.render import GIGABYTE, parse_size
 
@@ -13,7 +13,7 @@ FILMS = ("grey", "colour")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotoFormat:
+class PhotoFormat(CheckedOptions):
     """Sides of the photo and its overlaps.
 
     Attributes
@@ -63,12 +63,9 @@ class CoverageOptions(PhotoFormat):
     photos_in_strip: int | None = option(None, "Number of photos in a strip, from which --overlap follows.", least=1)
     ortho_pixel: float | None = option(None, "Tell the size of the raster too.", unit="m", metavar="METRES")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class MapTarget:
+class MapTarget(CheckedOptions):
     """Scale of a photo map and camera of its photos.
 
     Attributes
@@ -109,9 +106,6 @@ class FlightOptions(PhotoFormat, MapTarget):
         None, "Length along the strips and width across them: counts the photos.", unit="m", metavar="LENGTH WIDTH"
     )
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class ProductOptions(MapTarget):
@@ -134,12 +128,9 @@ class ProductOptions(MapTarget):
     )  # fmt: skip
     radius: float = option(140.0, "Largest r that is used.", unit="mm", metavar="MM", shown="140")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class TableOptions:
+class TableOptions(CheckedOptions):
     """Scales and camera constants of tables.
 
     Attributes
@@ -158,12 +149,9 @@ class TableOptions:
         (150.0, 300.0), "Camera constant; any number of times.", unit="mm", metavar="MM", shown="150, 300"
     )
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ControlNeedOptions:
+class ControlNeedOptions(CheckedOptions):
     """Model of the images and size of the block, for the number of control points.
 
     Attributes
@@ -187,12 +175,9 @@ class ControlNeedOptions:
     ties: int = option(0, "Connections of two photos by a tie point.", least=0, needs=("photos",))
     control: int = option(0, "Measurements of control points in photos.", least=0, needs=("photos",))
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ProcessingOptions:
+class ProcessingOptions(CheckedOptions):
     """Block and machines of a run.
 
     Attributes
@@ -257,6 +242,3 @@ class ProcessingOptions:
         metavar="FILE",
         shown="those of the package",
     )
-
-    def __post_init__(self) -> None:
-        check_values(self)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.check import CheckedOptions, check_idle
 from geomosaic.options.declaration import named_only, option
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def _parse_workers(value: Any) -> int | str:
 
 @named_only
 @dataclass(frozen=True, kw_only=True)
-class RenderOptions:
+class RenderOptions(CheckedOptions):
     """Options of a rendered raster.
 
     Attributes
@@ -158,7 +158,7 @@ class RenderOptions:
     progress: Progress | None = None
 
     def __post_init__(self) -> None:
-        check_values(self)
+        super().__post_init__()
         if self.tile % BLOCK_WIDTH:
             raise InputError(
                 f"{self.tile} is not a multiple of {BLOCK_WIDTH}",
@@ -235,7 +235,7 @@ def _parse_height_sigma(value: Any) -> float | Path:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OrientationSigmas:
+class OrientationSigmas(CheckedOptions):
     """Standard deviations of the orientation, as far as neither control nor tables nor the sensor tell them.
 
     Attributes
@@ -304,9 +304,6 @@ class UncertaintyOptions(InputSigmas):
         stage="records", section="output", needs=("accuracy",),
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
     def refuse(self, products: str) -> None:
         """Check that no accuracy raster is asked for of products that have none.
 
@@ -342,7 +339,7 @@ class OrthoOptions(RasterOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampleOptions:
+class SampleOptions(CheckedOptions):
     """Options of the samples of the output.
 
     Attributes
@@ -368,6 +365,3 @@ class SampleOptions:
         None, "Stretch the mosaic to 8 bits between these percentiles (2,98), or values (v100,v3000).",
         metavar="LOW,HIGH", group="colour", stage="edits", section="mosaic", idle_with=("rule",),
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check_values(self)

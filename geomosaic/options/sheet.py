@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError, did_you_mean
-from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.check import CheckedOptions, SelfContainedOptions
 from geomosaic.options.declaration import option
 from geomosaic.options.inputs import parse_bounds
 
@@ -89,7 +89,7 @@ def _paper(value: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StretchOptions:
+class StretchOptions(CheckedOptions):
     """Options of how a raster is shown on 8 bits; what is not given follows from its samples or the layout."""
 
     bands: tuple[int, ...] | None = option(
@@ -115,21 +115,14 @@ class StretchOptions:
     )
     hillshade: Path | None = option(None, "Blend with the hillshade of this DEM.", metavar="DEM", group="colour")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class EnhanceOptions(StretchOptions):
+class EnhanceOptions(StretchOptions, SelfContainedOptions):
     """Options of a picture for print: how the raster is shown, and how far its sharpening reaches."""
 
     radius: float | None = option(
         None, "Of sharpening, pixels.", least=0.3, most=50.0, shown="1", group="colour", needs=("sharpen",)
     )
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
 
 
 # Models of the pan band.
@@ -137,7 +130,7 @@ PAN_METHODS = ("regression", "brovey", "weighted")
 
 
 @dataclass(frozen=True)
-class PanOptions:
+class PanOptions(SelfContainedOptions):
     """Options of pan-sharpening: the panchromatic raster, and how its detail is added."""
 
     pan: Path | None = option(
@@ -147,13 +140,9 @@ class PanOptions:
         None, "Of pan-sharpening.", choices=PAN_METHODS, shown=PAN_METHODS[0], group="colour", needs=("pan",)
     )
 
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
-
 
 @dataclass(frozen=True)
-class FileOptions:
+class FileOptions(CheckedOptions):
     """Options of the files of sheets.
 
     Attributes
@@ -176,12 +165,9 @@ class FileOptions:
     )  # fmt: skip
     world_file: bool = option(False, "Write a world file beside .tif and .png.", needs=("output=.png", "output=.tif"))
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True)
-class ContourOptions:
+class ContourOptions(SelfContainedOptions):
     """Options of contours and spot heights; what is not given follows from the DEM.
 
     Attributes
@@ -216,13 +202,9 @@ class ContourOptions:
         idle_with=("prominence=0.0",),
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
-
 
 @dataclass(frozen=True)
-class WaterOptions:
+class WaterOptions(CheckedOptions):
     """Options of areas that may be water.
 
     Attributes
@@ -238,12 +220,9 @@ class WaterOptions:
     )
     tilt: float = option(0.003, "Largest slope of an area as a whole.", least=0.0, flag=None, group="geometry")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class SchemeOptions:
+class SchemeOptions(SelfContainedOptions):
     """Division of the ground into sheets.
 
     Attributes
@@ -282,13 +261,9 @@ class SchemeOptions:
     )
     name_column: str = option("name", "Column of their names.", needs=("polygons",), metavar="NAME", group="input")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class SeriesOptions:
+class SeriesOptions(CheckedOptions):
     """Sheets of a series that are made.
 
     Attributes
@@ -308,12 +283,9 @@ class SeriesOptions:
     only: tuple[str, ...] = option((), "This sheet; any number of times.", metavar="SHEET", shown="all")
     workers: int = option(1, "Processes that draw.", least=1, shown="1", group="running")
 
-    def __post_init__(self) -> None:
-        check_values(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class SheetOptions:
+class SheetOptions(CheckedOptions):
     """Options of a map sheet; what is given here wins over the layout file.
 
     Attributes
@@ -383,6 +355,3 @@ class SheetOptions:
     dpi: int | None = option(None, "Resolution of the picture.", least=72, most=2400, shown="300")
     look: StretchOptions = field(default_factory=StretchOptions)
     files: FileOptions = field(default_factory=FileOptions)
-
-    def __post_init__(self) -> None:
-        check_values(self)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.check import SelfContainedOptions
 from geomosaic.options.declaration import option
 from geomosaic.options.inputs import parse_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
-class DtmOptions:
+class DtmOptions(SelfContainedOptions):
     """Data of a terrain model, and its grid.
 
     Attributes
@@ -68,7 +68,3 @@ class DtmOptions:
         None, "Area in map units.", metavar="LEFT BOTTOM RIGHT TOP", shown="all data", parse=parse_bounds,
         group="geometry",
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)

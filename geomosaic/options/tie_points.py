@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geomosaic.options.check import check_idle, check_values
+from geomosaic.options.check import SelfContainedOptions
 from geomosaic.options.declaration import option
 
 _MATCH: dict[str, Any] = {"section": "match", "group": "input"}
@@ -15,7 +15,7 @@ _REFERENCE: dict[str, Any] = {"needs": ("reference",), **_MATCH}
 
 
 @dataclass(frozen=True)
-class TiePointOptions:
+class TiePointOptions(SelfContainedOptions):
     """Options of `match`.
 
     Attributes
@@ -67,7 +67,3 @@ class TiePointOptions:
         None, "Standard deviation of the heights of its points, metres.", above=0.0, shown="that of the reference",
         **_REFERENCE,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        check_values(self)
-        check_idle(self)

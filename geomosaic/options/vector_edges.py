@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import check_values
+from geomosaic.options.check import CheckedOptions
 from geomosaic.options.declaration import option
 
 
 @dataclass(frozen=True, kw_only=True)
-class VectorEdgeOptions:
+class VectorEdgeOptions(CheckedOptions):
     """What meets at the edges of sheets, and how sheets are bent there.
 
     Attributes
@@ -41,6 +41,6 @@ class VectorEdgeOptions:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check_values(self)
+        super().__post_init__()
         if any(not value >= 0.0 for value in self.sigma):
             raise InputError("a standard deviation is 0 or more", where="`sigma`", hint="0 holds the sheet")
