@@ -80,19 +80,7 @@ def _pair(value: Any) -> tuple[float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class PointFileOptions(CheckedOptions):
-    """What a file of control or check points does not declare.
-
-    Attributes
-    ----------
-    crs : str, optional
-        CRS of the ground coordinates.
-    rows : str, optional
-        'up' or 'down': direction of rows in a QGIS file with an unusual sign.
-    pixels : str, optional
-        'corner' or 'centre': position within the pixel of whole numbers in the file.
-    without : tuple of str
-        Names of points to leave out.
-    """
+    """What a file of control or check points does not declare."""
 
     crs: str | None = option(
         None, "CRS of the points' ground coordinates, where the file names none.", metavar="CRS", group="input",
@@ -236,17 +224,7 @@ class FitOptions(CheckedOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class VectorOptions(SelfContainedOptions):
-    """Vectors that a fit carries to the map.
-
-    Attributes
-    ----------
-    vectors : Path, optional
-        Drawn over the image, in its coordinates.
-    vector_rows : str, optional
-        How they count rows: 'down', 'negative' or 'up'; 'negative' where all rows are.
-    line_tolerance : float
-        Pixels by which a straight line between two vertices may miss the fit.
-    """
+    """Vectors that a fit carries to the map."""
 
     vectors: Path | None = option(
         None, "Vectors drawn over the image, in its coordinates: written on the map beside the output.",
@@ -265,16 +243,7 @@ class VectorOptions(SelfContainedOptions):
 
 @dataclass(frozen=True)
 class GeoreferenceOptions:
-    """Options of `georeference`, composed of those of control, fit, vectors, extent and rendering.
-
-    Attributes
-    ----------
-    source : ControlOptions
-    fit : FitOptions
-    drawn : VectorOptions
-    area : Area
-    render : RenderOptions
-    """
+    """Options of `georeference`, composed of those of control, fit, vectors, extent and rendering."""
 
     source: ControlOptions = field(default_factory=ControlOptions)
     fit: FitOptions = field(default_factory=FitOptions)
@@ -310,14 +279,7 @@ class RegistrationOptions(CheckedOptions):
 
 @dataclass(frozen=True)
 class CoregisterOptions:
-    """Options of `coregister`, composed of those of the displacement, extent and rendering.
-
-    Attributes
-    ----------
-    registration : RegistrationOptions
-    area : Area
-    render : RenderOptions
-    """
+    """Options of `coregister`, composed of those of the displacement, extent and rendering."""
 
     registration: RegistrationOptions = field(default_factory=RegistrationOptions)
     area: Area = field(default_factory=Area)
@@ -326,19 +288,7 @@ class CoregisterOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PixelOptions(OrientationSigmas):
-    """Pixel coordinates of points and vectors, and the standard deviations of the image's orientation.
-
-    Attributes
-    ----------
-    layer : str, optional
-        Of the vectors; the first unless given.
-    rows : str, optional
-        How pixel coordinates count rows: 'down', 'negative' or 'up'.
-    first_pixel : float
-        What they call the centre of the first pixel: 0.5, 0 or 1.
-    sigmas
-        See `OrientationSigmas`.
-    """
+    """Pixel coordinates of points and vectors, and the standard deviations of the image's orientation."""
 
     layer: str | None = option(None, "Layer of the vectors.", shown="the first", group="input")
     rows: str | None = option(

@@ -378,21 +378,7 @@ class BlockInputs(SelfContainedOptions):
 
 @dataclass(frozen=True)
 class Area(SelfContainedOptions):
-    """Area and pixel size of the output; what is not given follows from the images.
-
-    Attributes
-    ----------
-    dst_crs : str, optional
-        CRS of the output.
-    resolution : float, optional
-        Pixel size in its units.
-    bounds : tuple of float, optional
-        Left, bottom, right, top in it.
-    snap : bool
-        Widen the bounds to whole multiples of the pixel size; without bounds that is always done.
-    like : Path or Grid, optional
-        Raster or grid whose CRS, pixels and extent the output takes; nothing else is given then.
-    """
+    """Area and pixel size of the output; what is not given follows from the images."""
 
     dst_crs: str | None = option(
         None, "CRS of the output, such as EPSG:32633.",
@@ -428,25 +414,7 @@ CORNER_SIGMA_PX = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class QualityLimits(SelfContainedOptions):
-    """Limits of the accuracy of a project's mosaic, and a reference image to compare it with.
-
-    Attributes
-    ----------
-    max_control_rms_px, max_check_rms_px : float, optional
-        RMS length of residuals, image pixels.
-    max_corner_sigma_px : float
-        Expected error, one standard deviation, at the corners and in the middle of the mosaic, image pixels.
-    max_lattice_error_px : float, optional
-        Interpolation of the geometry, image pixels.
-    max_seam_mismatch_px : float, optional
-        Pixels of the mosaic.
-    max_registration_px : float, optional
-        RMS of shifts against the reference, pixels of the reference.
-    max_clipped_percent, max_gain_spread_percent, max_colour_trend_percent, max_colour_difference : float, optional
-        Radiometric change by the colour balance; the last one in grey values.
-    quality_reference : Path, optional
-        Georeferenced raster.
-    """
+    """Limits of the accuracy of a project's mosaic, and a reference image to compare it with."""
 
     max_control_rms_px: float | None = _limit("RMS length of residuals at control points, image pixels.")
     max_check_rms_px: float | None = _limit("RMS length of residuals at check points, image pixels.")

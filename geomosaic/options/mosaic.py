@@ -63,15 +63,7 @@ def _parse_reference_day(text: Any) -> str:
 
 @dataclass(frozen=True)
 class Retouch(CheckedOptions):
-    """Change of one image's colour after the balance: value · gain + offset, the same for all bands.
-
-    Attributes
-    ----------
-    gain : float
-        Above 0.
-    offset : float
-        Grey values.
-    """
+    """Change of one image's colour after the balance: value · gain + offset, the same for all bands."""
 
     gain: float = option(1.0, "Factor of all values.", above=0.0)
     offset: float = option(0.0, "Added to all values, grey values.")
@@ -431,25 +423,7 @@ class TileSize:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions(CheckedOptions):
-    """Options of what is written beside a mosaic.
-
-    Attributes
-    ----------
-    labels : bool
-        Write the raster that names the source image of each pixel.
-    vectors : bool
-        Write footprints, seamlines and gains (GeoPackage), and the STAC item.
-    stac : bool
-        Write the STAC item among them.
-    views : bool
-        Write view angle and ground sampling distance of each pixel.
-    displacement : float, optional
-        Height of level ground, metres: write the relief displacement of each pixel against it.
-    seam_quality : bool, optional
-        Judge the seams piece by piece; in projects that is done unless said otherwise.
-    tiling : TileSize, optional
-        Write the mosaic as a grid of files of about this size, with an index of them; a text such as '10km' will do.
-    """
+    """Options of what is written beside a mosaic."""
 
     labels: bool = option(True, "Write the raster of source images.", stage="records", section="mosaic")
     vectors: bool = option(
@@ -566,13 +540,7 @@ class MosaicOptions:
 
 @dataclass(frozen=True, repr=False)
 class EdgeMosaicOptions(MosaicOptions):
-    """Options of `match_edges`: those of a mosaic, with the fit and the extent.
-
-    Attributes
-    ----------
-    fit : EdgeOptions
-    area : Area
-    """
+    """Options of `match_edges`: those of a mosaic, with the fit and the extent."""
 
     fit: EdgeOptions = field(default_factory=EdgeOptions)
     area: Area = field(default_factory=Area)

@@ -14,17 +14,7 @@ FILMS = ("grey", "colour")
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoFormat(CheckedOptions):
-    """Sides of the photo and its overlaps.
-
-    Attributes
-    ----------
-    format_along, format_across : float
-        Sides along and across the strip, mm.
-    overlap, sidelap : float
-        Percent of them, along the strip and of strips.
-    monoscopic : bool
-        Each place on one photo is enough, instead of on two.
-    """
+    """Sides of the photo and its overlaps."""
 
     format_along: float = option(230.0, "Side of the photo along the strip.", unit="mm", metavar="MM", shown="230")
     format_across: float = option(230.0, "Side of the photo across it.", unit="mm", metavar="MM", shown="230")
@@ -66,19 +56,7 @@ class CoverageOptions(PhotoFormat):
 
 @dataclass(frozen=True, kw_only=True)
 class MapTarget(CheckedOptions):
-    """Scale of a photo map and camera of its photos.
-
-    Attributes
-    ----------
-    ortho_scale : float
-        Denominator.
-    camera_constant : float
-        Millimetres.
-    film : str
-        'grey' or 'colour'.
-    ratio : float, optional
-        K = M_photo / M_ortho; that of K-2.8 unless given.
-    """
+    """Scale of a photo map and camera of its photos."""
 
     ortho_scale: float = option(help="Scale of the photo map.", unit="1:", metavar="1:N")
     camera_constant: float = option(help="Camera constant (focal length) of the photos.", unit="mm", metavar="MM")
@@ -178,36 +156,7 @@ class ControlNeedOptions(CheckedOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessingOptions(CheckedOptions):
-    """Block and machines of a run.
-
-    Attributes
-    ----------
-    photos : int
-    photo_size : tuple of int
-        Columns and rows.
-    photo_bytes : int, optional
-        Size of the file of a photo; 0.4 bytes a pixel unless given.
-    ground_pixel : float
-        Pixel of the photos on the ground, metres.
-    ortho_pixel : float, optional
-        Pixel of the mosaic, metres; that of the photos unless given.
-    overlap, sidelap : float
-        Percent, along the strips and of strips.
-    oriented : bool
-        Orientations are known: nothing is matched and adjusted.
-    workers : int
-        Machines.
-    cores : int
-        Of each.
-    memory : int
-        Of each, bytes.
-    bandwidth : float, optional
-        From the storage to each machine and back, megabytes a second; no limit unless given.
-    core_hour : float, optional
-        Price of a core for an hour.
-    rates : Path, optional
-        File of rates of one's own machine; those of the package unless given.
-    """
+    """Block and machines of a run."""
 
     photos: int = option(help="Number of photos.", least=1)
     photo_size: tuple[int, int] = option(help="Columns and rows of a photo.", least=1, metavar="COLUMNS ROWS")

@@ -236,13 +236,7 @@ def _parse_height_sigma(value: Any) -> float | Path:
 
 @dataclass(frozen=True, kw_only=True)
 class OrientationSigmas(CheckedOptions):
-    """Standard deviations of the orientation, as far as neither control nor tables nor the sensor tell them.
-
-    Attributes
-    ----------
-    sigmas : mapping of str to float
-        Standard deviations of parameters of the sensor, in their units.
-    """
+    """Standard deviations of the orientation, as far as neither control nor tables nor the sensor tell them."""
 
     sigmas: Mapping[str, float] = option(
         default_factory=dict, help="Standard deviation of a parameter of the sensor, in its unit.",
@@ -253,17 +247,7 @@ class OrientationSigmas(CheckedOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class InputSigmas(OrientationSigmas):
-    """Standard deviations of all that places on the ground depend on.
-
-    Attributes
-    ----------
-    sigmas
-        See `OrientationSigmas`.
-    sigma_px : float, optional
-        Standard deviation of places in the image, pixels.
-    sigma_dem : float or Path, optional
-        Standard deviation of the heights, metres: one, or a raster of them.
-    """
+    """Standard deviations of all that places on the ground depend on."""
 
     sigma_px: float | None = option(
         None, "Standard deviation of places in the image.", least=0.0, metavar="PIXELS", group="input",
@@ -277,19 +261,7 @@ class InputSigmas(OrientationSigmas):
 
 @dataclass(frozen=True, kw_only=True)
 class UncertaintyOptions(InputSigmas):
-    """Options of the accuracy raster.
-
-    Attributes
-    ----------
-    accuracy : bool
-        Write the raster of standard deviations of position.
-    accuracy_step : int
-        Output pixels along a cell of it.
-    accuracy_target : Path, optional
-        What expected errors are compared with: a plan of a product (JSON), or limits (TOML).
-    sigmas, sigma_px, sigma_dem
-        See `InputSigmas`.
-    """
+    """Options of the accuracy raster."""
 
     accuracy: bool = option(
         False, "Write the raster of standard deviations of position.", flag="--accuracy/--no-accuracy",

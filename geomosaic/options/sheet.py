@@ -143,17 +143,7 @@ class PanOptions(SelfContainedOptions):
 
 @dataclass(frozen=True)
 class FileOptions(CheckedOptions):
-    """Options of the files of sheets.
-
-    Attributes
-    ----------
-    driver : str
-        Of GeoTIFFs: 'GTiff' or 'COG'. 'PDF' of PDFs: a raster GeoPDF instead of a page of vectors and text.
-    collar : bool
-        GeoTIFFs and raster GeoPDFs have the whole page instead of the map alone.
-    world_file : bool
-        Write a world file beside PNG and GeoTIFF: six lines with the affine of pixel centres.
-    """
+    """Options of the files of sheets."""
 
     driver: str = option(
         "GTiff", "Of .tif; PDF: make .pdf a raster GeoPDF of the map alone.", choices=("GTiff", "COG", "PDF"),
@@ -286,36 +276,7 @@ class SeriesOptions(CheckedOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class SheetOptions(CheckedOptions):
-    """Options of a map sheet; what is given here wins over the layout file.
-
-    Attributes
-    ----------
-    layout : Path, optional
-        Layout of the sheet (TOML).
-    scale : float, optional
-        Denominator; 1:N as a text, too.
-    paper : str, optional
-        'A0' to 'A4', or millimetres as '300x200'.
-    orientation : str, optional
-        'landscape' or 'portrait'.
-    bounds : tuple of float, optional
-        Left, bottom, right, top in map units.
-    title : str, optional
-    vectors : tuple of str
-        FILE[#LAYER][:STYLE], the lowest first.
-    contours : Path, optional
-        DEM of the contours.
-    interval : float, optional
-        Of the contours, metres.
-    dem_heights : str, optional
-        Vertical datum of the DEM, where the file does not say it.
-    report : Path, optional
-        Report of the project; that beside the raster unless given.
-    dpi : int, optional
-        Pixels of the picture per inch of paper.
-    look : StretchOptions
-    files : FileOptions
-    """
+    """Options of a map sheet; what is given here wins over the layout file."""
 
     layout: Path | None = option(None, "Layout of the sheet (TOML).", group="input")
     scale: float | None = option(

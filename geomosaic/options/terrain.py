@@ -12,27 +12,7 @@ from geomosaic.options.inputs import parse_bounds
 
 @dataclass(frozen=True, kw_only=True)
 class DtmOptions(SelfContainedOptions):
-    """Data of a terrain model, and its grid.
-
-    Attributes
-    ----------
-    contours, points, breaklines, water : Path, optional
-        Files of lines, points, lines and areas.
-    height_field : str, optional
-        Column of heights; without it a usual name, or z of the vertices.
-    crs : str, optional
-        Of files that name none, and of the DTM.
-    heights : str, optional
-        Vertical datum, written into the DTM.
-    resolution : float, optional
-        Distance of the nodes, map units.
-    map_scale : float, optional
-        Denominator of the photo map, whose grid interval K-2.8 advises.
-    terrain : str
-        'easy' or 'difficult', of that table.
-    bounds : tuple of float, optional
-        Left, bottom, right, top.
-    """
+    """Data of a terrain model, and its grid."""
 
     contours: Path | None = option(None, "Contours: lines with their heights.", metavar="FILE", group="input")
     points: Path | None = option(

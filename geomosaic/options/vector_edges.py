@@ -11,19 +11,7 @@ from geomosaic.options.declaration import option
 
 @dataclass(frozen=True, kw_only=True)
 class VectorEdgeOptions(CheckedOptions):
-    """What meets at the edges of sheets, and how sheets are bent there.
-
-    Attributes
-    ----------
-    tolerance : float
-        Distance of ends that meet at most, map units.
-    same : tuple of str
-        Columns that must agree where lines meet.
-    sigma : tuple of float
-        Standard deviation of each sheet; equal unless given.
-    reach : float, optional
-        Distance at which the correction of a sheet ends, map units.
-    """
+    """What meets at the edges of sheets, and how sheets are bent there."""
 
     tolerance: float = option(
         help="Distance of ends that meet at most, map units.", above=0.0, metavar="UNITS", group="input"
