@@ -86,9 +86,9 @@ def ortho_text(result: OrthoResult) -> str:
     """
     return "\n".join(
         [
-            *placement_lines(result.placement or {}),
+            *_placement_lines(result.placement or {}),
             *result.notes,
-            f"{result.path}: {size_text(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
+            f"{result.path}: {size_text(result.grid)}, {_share(result.valid_pixels, result.grid)} seen"
             + _hidden_text(result.hidden_pixels, result.grid),
             _geometry_text(result, result.seconds),
             *_expected_lines(result),
@@ -102,19 +102,8 @@ def _geometry_text(result: OrthoResult | MosaicResult, seconds: float) -> str:
     return f"{within} (tolerance {result.tolerance:g} px), {seconds:.1f} s"
 
 
-def placement_lines(facts: Mapping[str, Any]) -> list[str]:
-    """Placement by tie and control points in words: how, how well, and what the points show of it.
-
-    Parameters
-    ----------
-    facts : mapping
-        Of the placement, or of the step "orient" with that of `planar` or `adjusted`; empty without one.
-
-    Returns
-    -------
-    list of str
-        Lines.
-    """
+def _placement_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Placement by tie and control points in words: how, how well, and what the points show of it."""
     from geomosaic.errors import counted
 
     own = facts.get("adjusted") or facts.get("planar") or facts
@@ -213,7 +202,7 @@ def quality_facts(failure: QualityError | None) -> dict[str, Any]:
 
 def _hidden_text(pixels: int | None, grid: Grid) -> str:
     """Share of pixels that the surface hides, in words."""
-    return "" if pixels is None else f", {share(pixels, grid)} hidden by the surface"
+    return "" if pixels is None else f", {_share(pixels, grid)} hidden by the surface"
 
 
 def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
@@ -263,14 +252,14 @@ def mosaic_text(result: MosaicResult) -> str:
     from geomosaic.mosaicking.colour.corrections import term_notes
 
     lines = [
-        *placement_lines(result.placement or {}),
+        *_placement_lines(result.placement or {}),
         *result.notes,
-        f"{result.path}: {size_text(result.grid)}, {share(result.valid_pixels, result.grid)} seen"
+        f"{result.path}: {size_text(result.grid)}, {_share(result.valid_pixels, result.grid)} seen"
         f"{_hidden_text(result.hidden_pixels, result.grid)}, "
         f"{sum(1 for n in result.pixels if n)} of {len(result.pixels)} images used",
     ]
     if result.balance.overlaps:
-        before, after = (rms(values.tolist()) for values in (result.balance.before, result.balance.after))
+        before, after = (_rms(values.tolist()) for values in (result.balance.before, result.balance.after))
         lines.append(_colour_text(result.balance.overlaps, before, after))
     lines += term_notes(result.balance)
     if result.stretch is not None:
@@ -312,33 +301,13 @@ def size_text(grid: Grid) -> str:
     return f"{grid.width} x {grid.height} pixels of {pixel} {unit}, {crs_name(grid.crs)}"
 
 
-def share(pixels: int, grid: Grid) -> str:
-    """Share of a grid in per cent, as text.
-
-    Parameters
-    ----------
-    pixels : int
-    grid : Grid
-
-    Returns
-    -------
-    str
-    """
+def _share(pixels: int, grid: Grid) -> str:
+    """Share of a grid in per cent, as text."""
     return f"{100 * pixels / (grid.width * grid.height):.1f} %"
 
 
-def rms(values: list[float]) -> float:
-    """Root mean square.
-
-    Parameters
-    ----------
-    values : list of float
-
-    Returns
-    -------
-    float
-        0 of none.
-    """
+def _rms(values: list[float]) -> float:
+    """Root mean square."""
     return math.sqrt(sum(v * v for v in values) / max(1, len(values)))
 
 
@@ -430,13 +399,13 @@ def accuracy_lines(facts: Mapping[str, Any]) -> list[str]:
     if matched:
         lines += matched["summary"]
     if orient:
-        lines += placement_lines(orient)
+        lines += _placement_lines(orient)
     if made:
         lines.append(
             f"geometry: interpolated within {made['lattice_error_px']:.4f} px (tolerance {made['tolerance_px']:g} px)"
         )
         if made["overlaps"] and made["balanced"]:
-            before, after = rms(made["before"]), rms(made["after"])
+            before, after = _rms(made["before"]), _rms(made["after"])
             lines.append(_colour_text(made["overlaps"], before, after))
         if made.get("accuracy"):
             from geomosaic.render.accuracy import raster_lines

@@ -6,7 +6,6 @@ Callbacks of click take (context, parameter, text or texts), give the value or N
 from __future__ import annotations
 
 import json
-import math
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -87,25 +86,6 @@ def map_crs(ctx: click.Context, param: click.Parameter, value: str | None) -> st
             f"{what}; write an EPSG code such as EPSG:32633, a PROJ string, WKT or the path of a .prj file"
         ) from None
     return value
-
-
-def number(text: str) -> float:
-    """Finite number of a text.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    float
-        NaN of anything else: it fails every comparison, so that callers need one check only.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan
 
 
 class Number(click.types.FloatParamType):

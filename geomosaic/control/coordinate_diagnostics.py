@@ -141,7 +141,7 @@ def mirrored(control: ControlPoints) -> list[Diagnostic]:
         return []
     turn = float(np.degrees(np.arctan2(matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1])))
     if 45.0 < abs(turn) < 135.0:
-        code, hint = swapped(control)
+        code, hint = _swapped(control)
     elif abs(turn) <= 45.0:
         code, hint = "mirrored-rows", "let rows count from the top of the image"
     else:
@@ -152,13 +152,8 @@ def mirrored(control: ControlPoints) -> list[Diagnostic]:
     return [Diagnostic(code, "note" if written else "warning", what, (), hint)]
 
 
-def swapped(control: ControlPoints) -> tuple[str, str]:
-    """Code and hint of exchanged ground axes.
-
-    Parameters
-    ----------
-    control : ControlPoints
-    """
+def _swapped(control: ControlPoints) -> tuple[str, str]:
+    """Code and hint of exchanged ground axes."""
     if control.crs.is_geographic:
         return "latitude-longitude-swapped", "give longitude as x and latitude as y (or exchange col and row)"
     return "swapped-axes", "exchange x and y (or col and row): x is east, y is north"
@@ -240,7 +235,7 @@ def _tiny(control: ControlPoints) -> bool:
 def _cause(control: ControlPoints, area: Area, near: tuple[float, float] | None) -> tuple[str, str, str]:
     crs, xy = control.crs, control.xy
     if _within_area(xy[:, ::-1], crs, area).mean() > 0.9:
-        code, hint = swapped(control)
+        code, hint = _swapped(control)
         return code, "they do with the axes exchanged", hint
     if crs.is_geographic and (np.abs(xy) > 400.0).any(axis=1).mean() > 0.5:
         return "metres-in-degrees", "they look like metres of a projection", "give the projected CRS they are in"

@@ -71,13 +71,8 @@ def _few_points(control: ControlPoints, kind: str, order: int = 1) -> list[Diagn
     return []
 
 
-def elongation(points: FloatArray) -> tuple[float, float]:
-    """RMS extents of points (N, 2) along and across their principal axis, in their unit.
-
-    Parameters
-    ----------
-    points : array (N, 2)
-    """
+def _elongation(points: FloatArray) -> tuple[float, float]:
+    """RMS extents of points (N, 2) along and across their principal axis, in their unit."""
     values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
     return float(values[0]), float(values[1])
 
@@ -100,8 +95,8 @@ def collinear(control: ControlPoints, kind: str) -> list[Diagnostic]:
     if kind == "projective" and 4 <= count <= 50:
         subsets += [np.delete(subsets[0], i) for i in range(count)]
     for chosen in subsets:
-        along, across = elongation(control.colrow[chosen])
-        far, wide = elongation(ground[chosen])
+        along, across = _elongation(control.colrow[chosen])
+        far, wide = _elongation(ground[chosen])
         if across >= LINE_RATIO * along and wide >= LINE_RATIO * far:
             continue
         names = point_names(control, chosen)
@@ -124,15 +119,8 @@ def _left(chosen: np.ndarray[tuple[int], np.dtype[np.int64]], count: int) -> int
     return int(np.setdiff1d(np.arange(count), chosen)[0])
 
 
-def outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
-    """Findings on points beyond the edges of the image, with the likely cause where most are.
-
-    Parameters
-    ----------
-    control : ControlPoints
-    size : tuple of int
-        Width and height of the image, pixels.
-    """
+def _outside_image(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
+    """Findings on points beyond the edges of the image, with the likely cause where most are."""
     # Mirrored ground alone may be right, and so may a point beyond the edge; where exchanging columns and rows corrects
     # both, they are taken as exchanged.
     colrow = control.colrow
@@ -174,15 +162,8 @@ def hull_area(points: FloatArray) -> float:
     return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
-def coverage(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
-    """Findings on coverage: points in one cluster, corners without a point, an image mostly outside their hull.
-
-    Parameters
-    ----------
-    control : ControlPoints
-    size : tuple of int
-        Width and height of the image, pixels.
-    """
+def _coverage(control: ControlPoints, size: tuple[int, int]) -> list[Diagnostic]:
+    """Findings on coverage: points in one cluster, corners without a point, an image mostly outside their hull."""
     width, height = size
     points = np.clip(control.colrow, 0.0, size)
     share = hull_area(points) / (width * height)
@@ -356,7 +337,7 @@ def diagnose(
     enabled = control.select(control.enabled)
     used = enabled.of_role("control")
     found = _few_points(used, kind, order)
-    beyond = outside_image(enabled, size) if size else []
+    beyond = _outside_image(enabled, size) if size else []
     places = misplaced(enabled, near)
     found += beyond + places + contradictions(enabled)
     if not any(finding.severity == "error" for finding in beyond + places if _most(finding, enabled)):
@@ -368,7 +349,7 @@ def diagnose(
         if not line:
             found += mirrored(inside)
             if size and len(inside) > 2:
-                found += coverage(inside, size)
+                found += _coverage(inside, size)
     return tuple(sorted(found, key=lambda finding: SEVERITIES.index(finding.severity)))
 
 

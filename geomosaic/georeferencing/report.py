@@ -65,7 +65,7 @@ def _write_residuals(
 
     places = np.array([[point["x"], point["y"]] for point in points], dtype=np.float64).reshape(-1, 2)
     steps = np.array([_pair(point["residual_map"]) for point in points], dtype=np.float64).reshape(-1, 2)
-    factor = enlargement(places, steps)
+    factor = _enlargement(places, steps)
     to_crs = Transform(horizontal(source), horizontal(crs))
     starts, ends = to_crs(places), to_crs(places + factor * np.nan_to_num(steps))
     drawn = np.isfinite(steps).all(axis=1)
@@ -78,16 +78,8 @@ def _write_residuals(
     return factor
 
 
-def enlargement(places: FloatArray, steps: FloatArray) -> float:
-    """Round factor (1, 2 or 5 times a power of ten) that draws the longest vector at about `LONGEST`.
-
-    Parameters
-    ----------
-    places : array (N, 2)
-        Map units.
-    steps : array (N, 2)
-        Vectors, map units.
-    """
+def _enlargement(places: FloatArray, steps: FloatArray) -> float:
+    """Round factor (1, 2 or 5 times a power of ten) that draws the longest vector at about `LONGEST`."""
     lengths = np.hypot(*steps.T)
     longest = float(np.nanmax(lengths)) if np.isfinite(lengths).any() else 0.0
     if not longest > 0.0:
@@ -159,13 +151,8 @@ def _error_facts(errors: FloatArray) -> dict[str, Any]:
     }
 
 
-def headline(fit: ControlFit) -> str:
-    """Kind of errors that measure a fit: 'residuals', or 'leave_one_out' where it passes through its points.
-
-    Parameters
-    ----------
-    fit : ControlFit
-    """
+def _headline(fit: ControlFit) -> str:
+    """Kind of errors that measure a fit: 'residuals', or 'leave_one_out' where it passes through its points."""
     return "residuals" if fit.redundancy > 0 else "leave_one_out"
 
 
@@ -173,7 +160,7 @@ def _accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
     """Accuracy from residuals and leave-one-out errors: pixels, map units, metres (`metres` (2,): metres per unit)."""
     return {
         "points": len(fit.ids),
-        "headline": headline(fit),
+        "headline": _headline(fit),
         "residuals": {
             "px": _error_facts(fit.residuals),
             "map": _error_facts(fit.map_residuals),

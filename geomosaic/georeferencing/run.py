@@ -281,7 +281,7 @@ def _control_of_image(info: SourceInfo) -> Path:
     image = Path(info.path)
     if control_point_count(image):
         return image
-    beside = world_file(image)
+    beside = _world_file(image)
     if beside is not None:
         return beside
     if info.transform is not None:
@@ -297,13 +297,8 @@ def _control_of_image(info: SourceInfo) -> Path:
     )
 
 
-def world_file(image: Path) -> Path | None:
-    """World file of an image: photo.tfw, photo.tifw or photo.wld for photo.tif, in capitals or not.
-
-    Parameters
-    ----------
-    image : Path
-    """
+def _world_file(image: Path) -> Path | None:
+    """World file of an image: photo.tfw, photo.tifw or photo.wld for photo.tif, in capitals or not."""
     ending = image.suffix[1:].casefold()
     if not ending:
         return None

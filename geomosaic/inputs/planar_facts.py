@@ -42,7 +42,7 @@ def joint_facts(solution: PlanarSolution, kind: str) -> dict[str, Any]:
         **_adjusted(solution),
         "accuracy": _accuracy([solution]),
         "photos": [_photo(solution, name) for name in solution.transforms],
-        "measurements": measurements(solution),
+        "measurements": _measurements(solution),
         **_joined(solution.block, solution.transforms),
     }
 
@@ -70,7 +70,7 @@ def single_facts(block: PlanarBlock, solutions: Mapping[str, PlanarSolution], mo
         "rms_px": finite(float(np.sqrt(np.mean([solution.rms**2 for solution in solutions.values()])))),
         "accuracy": _accuracy(list(solutions.values())),
         "photos": [{**_photo(solution, name), **_adjusted(solution)} for name, solution in solutions.items()],
-        "measurements": [row for solution in solutions.values() for row in measurements(solution)],
+        "measurements": [row for solution in solutions.values() for row in _measurements(solution)],
         **_joined(block, transforms),
     }
 
@@ -140,18 +140,8 @@ def growth_facts(grown: Growth, model: str, together: PlanarSolution | None) -> 
     }
 
 
-def measurements(solution: PlanarSolution) -> list[dict[str, Any]]:
-    """Residuals of all measurements in photos: measured minus computed.
-
-    Parameters
-    ----------
-    solution : PlanarSolution
-
-    Returns
-    -------
-    list of dict
-        `id`, `image`, `col` and `row` in pixels, and `standardised` residuals; None where there is none.
-    """
+def _measurements(solution: PlanarSolution) -> list[dict[str, Any]]:
+    """Residuals of all measurements in photos: measured minus computed."""
     views = solution.views
     return [
         {

@@ -129,7 +129,7 @@ def read_bal(data: bytes, path: str) -> Reconstruction:
     InputError
         The file is damaged.
     """
-    values = all_numbers(decoded(unpacked(data, path), path, path), path)
+    values = all_numbers(decoded(_unpacked(data, path), path, path), path)
     images, points = _counts(values, 3, path)
     count = int(values[2]) if 0 <= values[2] <= len(values) and values[2] % 1 == 0 else -1
     if count < 0 or len(values) != 3 + 4 * count + 9 * images + 3 * points:
@@ -152,15 +152,8 @@ def read_bal(data: bytes, path: str) -> Reconstruction:
     return _reconstruction(found, path, None, None)
 
 
-def unpacked(data: bytes, path: str) -> bytes:
-    """Bytes that bzip2 or gzip has packed, else as they are; an error where they are too many.
-
-    Parameters
-    ----------
-    data : bytes
-    path : str
-        Named in errors.
-    """
+def _unpacked(data: bytes, path: str) -> bytes:
+    """Bytes that bzip2 or gzip has packed, else as they are; an error where they are too many."""
     kinds: Mapping[bytes, Any] = {b"BZh": bz2.BZ2Decompressor(), b"\x1f\x8b": zlib.decompressobj(wbits=31)}
     packed = next((kind for start, kind in kinds.items() if data.startswith(start)), None)
     if packed is None:

@@ -87,23 +87,8 @@ def camera_table(camera: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def parse(data: bytes, path: str, where: str) -> tuple[Mapping[str, Any], ...]:
-    """Parts of a reconstruction; kept, since all images of a block ask for them.
-
-    Parameters
-    ----------
-    data : bytes
-        Of reconstruction.json.
-    path : str
-        The file.
-    where : str
-        Named in errors.
-
-    Raises
-    ------
-    InputError
-        It is no JSON, or no list of tables.
-    """
+def _parse(data: bytes, path: str, where: str) -> tuple[Mapping[str, Any], ...]:
+    """Parts of a reconstruction; kept, since all images of a block ask for them."""
     try:
         parts = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
@@ -141,7 +126,7 @@ def read_shot(data: bytes, path: Path, image: str, system: str, where: str) -> t
         Row of that system.
     """
     stem = Path(image).stem
-    for part in parse(data, str(path), where):
+    for part in _parse(data, str(path), where):
         shots = table_of(part.get("shots", {}), "shots", where)
         name = next((key for key in shots if key in (image, stem) or Path(key).stem == stem), None)
         if name is None:
@@ -201,7 +186,7 @@ def read(data: bytes, path: str, tracks: str | None = None, surveyed: bytes | No
     InputError
         A file is damaged, or the parts have different origins.
     """
-    parts = parse(data, path, path)
+    parts = _parse(data, path, path)
     cameras: dict[str, dict[str, Any]] = {}
     images: list[ImagePose] = []
     part_of: dict[str, int] = {}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import SelfContainedOptions
+from geomosaic.options.check import SelfContainedOptions, finite_numbers
 from geomosaic.options.declaration import option
 
 
@@ -37,11 +37,8 @@ def _parse_free(value: Any) -> Mapping[str, float]:
 
 def _parse_vector(value: Any) -> tuple[float, ...]:
     """Vector of three numbers."""
-    try:
-        parts = tuple(float(part) for part in (() if isinstance(value, str) else value))
-    except (TypeError, ValueError):
-        parts = ()
-    if len(parts) != 3 or not all(map(math.isfinite, parts)):
+    parts = finite_numbers(value)
+    if len(parts) != 3:
         raise InputError(f"'{value}' is no vector", hint="give three numbers, such as 0.1 0.0 -0.3")
     return parts
 

@@ -28,35 +28,18 @@ if TYPE_CHECKING:
 NAMES: dict[Any, str] = {str: "text", float: "a number", int: "a whole number", bool: "true or false", Path: "a path"}
 
 
-def check_values(value: Any) -> None:
-    """Conversion and check of all options of a frozen options value, in place.
-
-    Parameters
-    ----------
-    value : options value
-        From its `__post_init__`: a text becomes a path where one is declared, a whole number a float, a list a tuple.
-
-    Raises
-    ------
-    InputError
-        `where` is the name of the option in backticks.
-    """
-    for one in declared(type(value)):
-        if one.owner is type(value) or one.name in value.__dict__:
-            found = getattr(value, one.name)
-            if not one.typed and not isinstance(found, str | int | float):
-                continue  # a value of the library's own, in place of a file
-            settled = checked(found, one.kind, one.option, f"`{one.name}`", optional=one.optional)
-            if settled is not found:
-                # The value is frozen, but still being made: this is called by its `__post_init__`.
-                object.__setattr__(value, one.name, settled)
-
-
 class CheckedOptions:
-    """Base of frozen options whose values are checked as they are made."""
+    """Base of frozen options whose values are brought to their types and checked as they are made."""
 
     def __post_init__(self) -> None:
-        check_values(self)
+        for one in declared(type(self)):
+            if one.owner is type(self) or one.name in self.__dict__:
+                found = getattr(self, one.name)
+                if not one.typed and not isinstance(found, str | int | float):
+                    continue  # a value of the library's own, in place of a file
+                settled = _checked(found, one.kind, one.option, f"`{one.name}`", optional=one.optional)
+                if settled is not found:
+                    object.__setattr__(self, one.name, settled)  # frozen, but still being made
 
 
 class SelfContainedOptions(CheckedOptions):
@@ -67,30 +50,8 @@ class SelfContainedOptions(CheckedOptions):
         check_idle(self)
 
 
-def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool = False) -> Any:
-    """Value of an option in its type and within its limits.
-
-    Parameters
-    ----------
-    value : object
-    kind : type
-        What it is to become: a table an options value, a text a path, a whole number a float, a list a tuple.
-    option : Option
-    where : str
-        Named by errors.
-    optional : bool
-        Whether None is a value.
-
-    Returns
-    -------
-    object
-        Of type `kind`, or None.
-
-    Raises
-    ------
-    InputError
-        The value is of another type, not one of the choices, or out of its limits.
-    """
+def _checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool = False) -> Any:
+    """Value of an option in its type and within its limits."""
     if value is None and optional:
         return None
     origin = get_origin(kind)
@@ -108,7 +69,7 @@ def checked(value: Any, kind: Any, option: Option, where: str, *, optional: bool
             raise InputError(f"'{value}' is no table of names and values", where=where, hint="give names with values")
         inner = get_args(kind)[-1:]
         if inner and is_part(inner[0]):
-            return {name: checked(part, inner[0], option, f"{where} {name}") for name, part in value.items()}
+            return {name: _checked(part, inner[0], option, f"{where} {name}") for name, part in value.items()}
         return value
     if is_part(kind) and isinstance(value, Mapping):
         try:
@@ -139,7 +100,7 @@ def _sequence(value: Any, kinds: tuple[Any, ...], option: Option, where: str) ->
     if len(value) != len(kinds):
         what = f"{counted(len(value), 'value')} where {len(kinds)} belong"
         raise InputError(what, where=where, hint=f"give {len(kinds)}")
-    return tuple(checked(part, kind, option, where) for part, kind in zip(value, kinds, strict=True))
+    return tuple(_checked(part, kind, option, where) for part, kind in zip(value, kinds, strict=True))
 
 
 def check_limits(value: Any, option: Option, where: str) -> None:
@@ -233,6 +194,30 @@ def _shown(condition: str, state: Mapping[str, Any]) -> str:
     return f"`{condition}`" if equals or not isinstance(found, str | int | float) else f"`{name}={found}`"
 
 
+def finite_numbers(values: Any) -> tuple[float, ...]:
+    """Finite numbers of a list, which may be written as texts; none where it is no list of them.
+
+    Parameters
+    ----------
+    values : object
+    """
+    try:
+        found = () if isinstance(values, str) else tuple(map(float, values))
+    except (TypeError, ValueError, OverflowError):
+        return ()
+    return found if all(map(math.isfinite, found)) else ()
+
+
+def as_written(value: Any) -> str:
+    """Value as a user wrote it: what is in a list with blanks between.
+
+    Parameters
+    ----------
+    value : object
+    """
+    return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
 T = TypeVar("T", bound="DataclassInstance")
 
 # Colours that have names here; any other is written #rrggbb.
@@ -297,7 +282,7 @@ def _value(value: Any, kind: Any, item: Field[Any], where: str, name: str) -> An
     inner = get_args(kind)[0] if get_origin(kind) is tuple else None
     if is_dataclass(inner) and isinstance(value, list):
         return tuple(_value(part, inner, item, where, name) for part in value)
-    return checked(value, kind, item.metadata.get("option", Option()), place)
+    return _checked(value, kind, item.metadata.get("option", Option()), place)
 
 
 def parse_color(value: Any) -> str:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import CheckedOptions, SelfContainedOptions
+from geomosaic.options.check import CheckedOptions, SelfContainedOptions, as_written, finite_numbers
 from geomosaic.options.declaration import option
 from geomosaic.options.inputs import PLANE_MODELS, Area
 from geomosaic.options.render import InputSigmas, OrientationSigmas, RenderOptions
@@ -35,47 +34,32 @@ def parse_place(value: Any) -> tuple[float, float]:
     InputError
         Not two numbers, or no place on the Earth.
     """
-    longitude, latitude = _pair(value)
+    place = finite_numbers(value)
     # Longitudes beyond 180 degrees are in use across the date line.
-    if not (abs(longitude) <= 360.0 and abs(latitude) <= 90.0):
-        raise InputError(
-            f"'{_shown(value)}' is no place", hint="write longitude and latitude in degrees, such as 16.5 48.8"
-        )
-    return longitude, latitude
+    if len(place) != 2 or abs(place[0]) > 360.0 or abs(place[1]) > 90.0:
+        hint = "write longitude and latitude in degrees, such as 16.5 48.8"
+        raise InputError(f"'{as_written(value)}' is no place", hint=hint)
+    return place[0], place[1]
 
 
-def _parse_heights(value: Any) -> tuple[float, float]:
+def _parse_heights(value: Any) -> tuple[float, ...]:
     """Lowest and highest height, metres."""
-    lowest, highest = _pair(value)
-    if math.isnan(lowest + highest):
-        raise InputError(f"'{_shown(value)}' is no range of heights", hint="give the lowest and the highest, metres")
-    return lowest, highest
+    heights = finite_numbers(value)
+    if len(heights) != 2:
+        what = f"'{as_written(value)}' is no range of heights"
+        raise InputError(what, hint="give the lowest and the highest, metres")
+    return heights
 
 
-def _parse_residual_limits(value: Any) -> tuple[float, float]:
+def _parse_residual_limits(value: Any) -> tuple[float, ...]:
     """Largest residual along columns and along rows, pixels; one number is for both."""
     parts = value.replace(",", " ").split() if isinstance(value, str) else value
-    parts = parts if isinstance(parts, list | tuple) else [parts]
-    col, row = _pair(parts * 2 if len(parts) == 1 else parts)
-    if not (0.0 < col < math.inf and 0.0 < row < math.inf):
-        raise InputError(
-            f"'{_shown(value)}' is no limit of residuals", hint="give pixels above 0: 2 for both axes, or 2,3"
-        )
-    return col, row
-
-
-def _shown(value: Any) -> str:
-    """Value as the user wrote it: numbers of a list with blanks between them."""
-    return " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
-
-
-def _pair(value: Any) -> tuple[float, float]:
-    """Two numbers, also as texts; NaN, which fails every comparison, of anything else."""
-    try:
-        first, second = map(float, () if isinstance(value, str) else value)
-    except (TypeError, ValueError):
-        return math.nan, math.nan
-    return first, second
+    limits = finite_numbers(parts if isinstance(parts, list | tuple) else [parts])
+    limits = limits * 2 if len(limits) == 1 else limits
+    if len(limits) != 2 or not min(limits) > 0.0:
+        hint = "give pixels above 0: 2 for both axes, or 2,3"
+        raise InputError(f"'{as_written(value)}' is no limit of residuals", hint=hint)
+    return limits
 
 
 @dataclass(frozen=True, kw_only=True)

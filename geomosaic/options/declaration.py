@@ -2,8 +2,9 @@
 
 An options class is a frozen dataclass whose fields are made by `option`. From the declaration come the flag of the
 command line, the key of the project file, the keyword of the library, the table in the docs, the checks and the keys of
-reruns. What an option means says its help; docstrings list options only where the reference shows them. A composed class has options classes as fields; the names of all its options are different, so that values can
-be given flat (`compose`).
+reruns. What an option means says its help; docstrings list options only where the reference shows them. A composed
+class has options classes as fields; the names of all its options are different, so that values can be given flat
+(`compose`).
 """
 
 from __future__ import annotations

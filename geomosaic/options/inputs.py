@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
-from geomosaic.options.check import CheckedOptions, SelfContainedOptions
+from geomosaic.options.check import CheckedOptions, SelfContainedOptions, as_written, finite_numbers
 from geomosaic.options.declaration import named_only, option
 
 # Plane transformations of a photo, those of fewer parameters first.
@@ -58,8 +58,8 @@ def _parse_day(value: Any) -> str:
 
 def _parse_margin(value: Any) -> tuple[float, ...]:
     """Border of an image at its left, top, right and bottom, pixels; one width is for all sides."""
-    parts = _numbers([value] * 4 if isinstance(value, str | int | float) else value)
-    if len(parts) != 4 or not all(part >= 0.0 for part in parts):
+    parts = finite_numbers([value] * 4 if isinstance(value, str | int | float) else value)
+    if len(parts) != 4 or min(parts) < 0.0:
         raise InputError(f"'{value}' is no border", hint="give pixels, 0 or more, for all sides or for each of four")
     return parts
 
@@ -82,25 +82,11 @@ def parse_bounds(value: Any) -> tuple[float, ...]:
     InputError
         Not four finite numbers, or an area without extent.
     """
-    parts = _numbers(() if isinstance(value, str) else value)
+    parts = finite_numbers(value)
     if len(parts) != 4 or not (parts[0] < parts[2] and parts[1] < parts[3]):
-        shown = value if isinstance(value, str) else " ".join(map(str, value))
-        example = "399850 5499850 400250 5500150"
-        raise InputError(f"'{shown}' is no area", hint=f"write left bottom right top, such as {example}")
+        hint = "write left bottom right top, such as 399850 5499850 400250 5500150"
+        raise InputError(f"'{as_written(value)}' is no area", hint=hint)
     return parts
-
-
-def _numbers(values: Any) -> tuple[float, ...]:
-    """Numbers of texts or numbers; NaN, which fails every comparison, of anything else."""
-
-    def number(value: Any) -> float:
-        try:
-            return float(value)
-        except (TypeError, ValueError):
-            return float("nan")
-
-    found = tuple(map(number, values))
-    return tuple(value if abs(value) < float("inf") else float("nan") for value in found)
 
 
 @dataclass(frozen=True)
@@ -187,7 +173,7 @@ class PlanarInputs(SelfContainedOptions):
     @property
     def blunder_policy(self) -> str:
         """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
-        return blunder_policy(self.robust, self.insist)
+        return _blunder_policy(self.robust, self.insist)
 
     def is_local(self, *, controlled: bool) -> bool:
         """Whether the mosaic lies in a frame of its own, without a place on the Earth.
@@ -200,21 +186,8 @@ class PlanarInputs(SelfContainedOptions):
         return self.kind == "uncontrolled" or (self.kind == "semicontrolled" and not controlled)
 
 
-def blunder_policy(robust: bool, insist: bool) -> str:
-    """Policy for wrong points.
-
-    Parameters
-    ----------
-    robust : bool
-        Leave them out; this comes first where both are asked for.
-    insist : bool
-        Keep them with a warning.
-
-    Returns
-    -------
-    str
-        'leave', 'keep' or 'stop'.
-    """
+def _blunder_policy(robust: bool, insist: bool) -> str:
+    """Policy for wrong points."""
     return "leave" if robust else "keep" if insist else "stop"
 
 
@@ -243,7 +216,7 @@ class EdgeOptions(CheckedOptions):
     @property
     def blunder_policy(self) -> str:
         """Policy for wrong points: 'leave' them out, 'keep' them, or 'stop'."""
-        return blunder_policy(self.robust, self.insist)
+        return _blunder_policy(self.robust, self.insist)
 
 
 @named_only

@@ -63,7 +63,7 @@ def render_block(
             geomosaic=__version__,
             name=name,
             notes=[*warnings(facts), *notes],
-            cards=cards(facts),
+            cards=_cards(facts),
             figures=figures,
             story=_sigma0_text(facts),
             tables=_image_tables(facts, moved),
@@ -80,18 +80,8 @@ def render_block(
     )
 
 
-def cards(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Key figures of a block report.
-
-    Parameters
-    ----------
-    facts : mapping
-
-    Returns
-    -------
-    list of dict
-        `title`, `value`, `unit`, `text` (explanation), and `passed`: whether it is good news, None where it is neither.
-    """
+def _cards(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Key figures of a block report."""
     low, high = facts["sigma0_bounds"]
     sigma0, points = facts["sigma0"], facts["points"]
     text = f"99 % lie between {number(low)} and {number(high)} where all standard deviations given are right."

@@ -202,24 +202,17 @@ def _height_sigmas(solution: BlockSolution, pixels: _Pixels) -> tuple[list[tuple
             side = f"h{SIGMA_CELL}v{SIGMA_CELL}h-{SIGMA_CELL}z"
             path = "".join(f"M{x} {y}{side}" for x, y in (SIGMA_CELL * mine).tolist())
             found.append((words, colour, len(mine), path))
-    return found, in_unit(middle, solution.length_unit)
+    return found, _in_unit(middle, solution.length_unit)
 
 
 def _bar(most: float, scale: float, unit: str) -> tuple[float, str]:
     """Scale bar of a round length that is at most so long in the picture."""
     length = round_below(most / scale)
-    return length * scale, in_unit(length, unit)
+    return length * scale, _in_unit(length, unit)
 
 
-def in_unit(length: float, unit: str = "m") -> str:
-    """Length with three figures, metres in the largest unit in which it is at least 1.
-
-    Parameters
-    ----------
-    length : float
-    unit : str
-        Of the length; only metres have others.
-    """
+def _in_unit(length: float, unit: str = "m") -> str:
+    """Length with three figures, metres in the largest unit in which it is at least 1."""
     if unit != "m":
         return f"{length:.3g} {unit}"
     units = ((1e-3, "km"), (1.0, "m"), (100.0, "cm"))

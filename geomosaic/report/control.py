@@ -151,7 +151,7 @@ def render_control(data: Mapping[str, Any], picture: Picture) -> str:
             figure=_control_figure(drawn, size, picture),
             through=through,
             sorted_points=points,
-            cards=cards(data),
+            cards=_cards(data),
             digits=min(decimals(metre, 2), 6),
             colours=COLOURS,
             words_of=WORDS,
@@ -161,19 +161,8 @@ def render_control(data: Mapping[str, Any], picture: Picture) -> str:
     )
 
 
-def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Key figures of a control report.
-
-    Parameters
-    ----------
-    data : mapping
-        The facts of the JSON report.
-
-    Returns
-    -------
-    list of dict
-        `title`, `value`, `unit`, `text` (explanation), and `passed`: whether it is good news, None where it is neither.
-    """
+def _cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Key figures of a control report."""
     accuracy, check, robust = data["accuracy"], data["check"], data["robust"]
     pixels, metres = accuracy["residuals"]["px"], accuracy["residuals"]["m"]
 

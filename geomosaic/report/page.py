@@ -56,34 +56,19 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
 
 
-def rounded(value: float | None) -> str:
-    """Positive number with two significant figures; '∞' for infinity, and a dash where there is none.
-
-    Parameters
-    ----------
-    value : float or None
-    """
+def _rounded(value: float | None) -> str:
+    """Positive number with two significant figures; '∞' for infinity, and a dash where there is none."""
     if value is None or math.isnan(value):
         return "–"
     return "∞" if math.isinf(value) else f"{float(f'{value:.2g}'):g}"
 
 
-def fields(values: Mapping[str, Any]) -> str:
-    """Table of inputs as one line of text, nested tables in brackets.
-
-    Parameters
-    ----------
-    values : mapping
-        Values may be mappings and lists.
-
-    Returns
-    -------
-    str
-    """
+def _fields(values: Mapping[str, Any]) -> str:
+    """Table of inputs as one line of text, nested tables in brackets."""
     parts = []
     for key, value in values.items():
         if isinstance(value, Mapping):
-            shown = f"({fields(value)})"
+            shown = f"({_fields(value)})"
         elif isinstance(value, list):
             shown = " × ".join(map(str, value)) if key.endswith("size") else ", ".join(map(str, value))
         else:
@@ -164,7 +149,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(number=number, rounded=rounded, bytes=_byte_size, share=share, fields=fields)
+    made.filters.update(number=number, rounded=_rounded, bytes=_byte_size, share=share, fields=_fields)
     return made
 
 

@@ -177,7 +177,7 @@ def render_html(
             **data,
             ground=decimals(made["grid"]["resolution"][0]),
             grey=decimals(rms(made["before"]) or rms((data["check"]["reference"] or {}).get("colour_rms", [])), 2),
-            cards=cards(data),
+            cards=_cards(data),
             unit="m" if unit == "metre" else unit,
             points=points,
             map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
@@ -192,20 +192,8 @@ def render_html(
     )
 
 
-def cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Key figures of a mosaic's report.
-
-    Parameters
-    ----------
-    data : mapping
-        Content of report.json, as in `render_html`.
-
-    Returns
-    -------
-    list of dict
-        `title`, `value`, `unit`, `text` (explanation), `passed` and `limit`: verdict of a threshold on it, None where
-        there is none.
-    """
+def _cards(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Key figures of a mosaic's report."""
     orient, made, check = data["orient"], data["mosaic"], data["check"]
     verdicts = {verdict["name"]: verdict for verdict in check["verdicts"]}
 

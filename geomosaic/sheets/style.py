@@ -428,13 +428,8 @@ def value_text(value: Any) -> str:
 _LIGHT = 0.6
 
 
-def luminance(color: str) -> float:
-    """Relative luminance of #rrggbb, 0 to 1 (ITU-R BT.709 weights of linear sRGB).
-
-    Parameters
-    ----------
-    color : str
-    """
+def _luminance(color: str) -> float:
+    """Relative luminance of #rrggbb, 0 to 1 (ITU-R BT.709 weights of linear sRGB)."""
     parts = (int(color[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
     red, green, blue = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
@@ -447,7 +442,7 @@ def halo_of(color: str) -> str:
     ----------
     color : str, #rrggbb
     """
-    return "#000000" if luminance(color) > _LIGHT else "#ffffff"
+    return "#000000" if _luminance(color) > _LIGHT else "#ffffff"
 
 
 def on_paper(color: str) -> str:
@@ -457,7 +452,7 @@ def on_paper(color: str) -> str:
     ----------
     color : str, #rrggbb
     """
-    return "#000000" if luminance(color) > _LIGHT else color
+    return "#000000" if _luminance(color) > _LIGHT else color
 
 
 def legend_line(color: str, width: float) -> Line:
@@ -468,7 +463,7 @@ def legend_line(color: str, width: float) -> Line:
     color : str, #rrggbb
     width : float, mm
     """
-    if luminance(color) > _LIGHT:
+    if _luminance(color) > _LIGHT:
         return Line(color, width, casing="#4d4d4d", casing_width=width + 0.5)
     return Line(color, width)
 

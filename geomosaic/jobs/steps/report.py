@@ -32,7 +32,7 @@ def report(project: Project, context: Context) -> Mapping[str, Any]:
     from geomosaic.report.report import render_html
 
     layout = Layout(project)
-    data = plain(gather(project, context.digests))
+    data = plain(_gather(project, context.digests))
     context.progress(0, 1, "report")
     ties = "" if layout.tie_section is None else layout.tie_section.read_text(encoding="utf-8")
     write_atomic(layout.report, render_html(data, layout.mosaic, layout.vectors, read_json(layout.places), ties))
@@ -41,20 +41,8 @@ def report(project: Project, context: Context) -> Mapping[str, Any]:
     return {"report": layout.report.name}
 
 
-def gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
-    """Record of a project's result: inputs, outputs, versions, warnings and the facts of all steps.
-
-    Parameters
-    ----------
-    project : Project
-    digests : mapping
-        SHA-256 of files by path.
-
-    Returns
-    -------
-    dict
-        Content of report.json.
-    """
+def _gather(project: Project, digests: Mapping[Path, str]) -> dict[str, Any]:
+    """Record of a project's result: inputs, outputs, versions, warnings and the facts of all steps."""
     layout = Layout(project)
     facts = {step: read_json(layout.facts(step)) for step in ("orient", "mosaic", "check")}
     exterior = layout.exterior

@@ -52,13 +52,8 @@ def _register_fonts(paths: Sequence[str]) -> None:
     _MORE.set(tuple(names))
 
 
-def properties(bold: bool, italic: bool) -> Any:
-    """Matplotlib's description of the fonts in use.
-
-    Parameters
-    ----------
-    bold, italic : bool
-    """
+def _properties(bold: bool, italic: bool) -> Any:
+    """Matplotlib's description of the fonts in use."""
     from matplotlib.font_manager import FontProperties
 
     return FontProperties(
@@ -121,21 +116,14 @@ def advances(letters: Sequence[str], size: float, bold: bool = False, italic: bo
     """
 
     def wide(text: str) -> float:
-        return advance(text, size, bold, italic)
+        return _advance(text, size, bold, italic)
 
     inner = [wide(letter + after) - wide(after) for letter, after in itertools.pairwise(letters)]
     return [*inner, *map(wide, letters[-1:])]
 
 
-def advance(text: str, size: float, bold: bool, italic: bool) -> float:
-    """Width with the room that the font leaves before what comes next, mm.
-
-    Parameters
-    ----------
-    text : str
-    size : float, points
-    bold, italic : bool
-    """
+def _advance(text: str, size: float, bold: bool, italic: bool) -> float:
+    """Width with the room that the font leaves before what comes next, mm."""
     return text_size(text + "|", size, bold, italic)[0] - text_size("|", size, bold, italic)[0]
 
 
@@ -150,7 +138,7 @@ def outline(text: str, size: float, bold: bool, italic: bool) -> Any:
     """
     from matplotlib.textpath import TextPath
 
-    return TextPath((0, 0), text.translate(_BREAKS).replace("$", r"\$"), size=size, prop=properties(bold, italic))
+    return TextPath((0, 0), text.translate(_BREAKS).replace("$", r"\$"), size=size, prop=_properties(bold, italic))
 
 
 @contextmanager
@@ -499,7 +487,7 @@ class Canvas:
         """One line of text from x, y in mm of its baseline's left end, at an angle in degrees."""
         x, y, angle = place
         drawn = self.axes.text(
-            x, y, text.translate(_BREAKS), fontproperties=properties(font.bold, font.italic), fontsize=font.size,
+            x, y, text.translate(_BREAKS), fontproperties=_properties(font.bold, font.italic), fontsize=font.size,
             color=color, rotation=angle, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
         )  # fmt: skip
         self._add(drawn)
@@ -517,7 +505,7 @@ class Canvas:
         shapes = [outline(text, *font)] if text.strip() else []
         if bridge:
             # Without it a line below, between the letters, would look like one more letter.
-            end, low, high = advance(text, *font) / POINT, 0.3 * font.size * CAP, 0.7 * font.size * CAP
+            end, low, high = _advance(text, *font) / POINT, 0.3 * font.size * CAP, 0.7 * font.size * CAP
             shapes.append(Shape([(0, low), (end, low), (end, high), (0, high), (0, low)], closed=True))
         for shape in shapes:
             patch = PathPatch(

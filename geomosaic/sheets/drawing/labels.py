@@ -349,14 +349,8 @@ def draw_heights(canvas: Canvas, placed: Sequence[PlacedLabel], part: ContoursPa
 _DOT = 0.7
 
 
-def dots(page: Page, spots: Sequence[SpotHeight]) -> FloatArray:
-    """Places (N, 2) in mm on the page.
-
-    Parameters
-    ----------
-    page : Page
-    spots : sequence of SpotHeight, in the CRS of the map
-    """
+def _dots(page: Page, spots: Sequence[SpotHeight]) -> FloatArray:
+    """Places (N, 2) in mm on the page."""
     return page.to_page(np.array([(spot.x, spot.y) for spot in spots]).reshape(-1, 2))
 
 
@@ -369,7 +363,7 @@ def keep_free(page: Page, spots: Sequence[SpotHeight], placer: LabelPlacer) -> N
     spots : sequence of SpotHeight
     placer : LabelPlacer
     """
-    for x, y in dots(page, spots).tolist():
+    for x, y in _dots(page, spots).tolist():
         placer.block(x, y, _DOT)
 
 
@@ -390,7 +384,7 @@ def place_spots(
     """
     digits = 0 if interval >= 5.0 else 1
     found = []
-    for spot, (x, y) in zip(spots, dots(page, spots).tolist(), strict=True):
+    for spot, (x, y) in zip(spots, _dots(page, spots).tolist(), strict=True):
         if not placer.inside(x, y):
             continue
         text = f"{spot.height + 0.0:.{digits}f}".replace("-", "−")
@@ -414,6 +408,6 @@ def draw_spots(
     part : ContoursPart
     """
     halo = halo_of(part.color)
-    canvas.markers(dots(page, [spot for spot, _ in placed]), "circle", _DOT, part.color, halo, 0.15)
+    canvas.markers(_dots(page, [spot for spot, _ in placed]), "circle", _DOT, part.color, halo, 0.15)
     for _, item in placed:
         canvas.pieces(item.pieces, part.size, color=part.color, halo=halo, halo_width=0.35, bold=True)

@@ -48,8 +48,8 @@ def _add_georeference(path: Path, page: Page) -> bool:
     if not start or trailer is None or len(pages) != 1:
         raise ValueError("not a plain PDF of one page")
     number, body = int(pages[0][1]), pages[0][2]
-    view = viewport(page)
-    more = boxes(page) + (f"/VP [ {view} ]" if view else "")
+    view = _viewport(page)
+    more = _boxes(page) + (f"/VP [ {view} ]" if view else "")
     update = b"%d 0 obj\n<<%s\n%s\n>>\nendobj\n" % (number, body.rstrip(), more.encode("ascii"))
     offset = len(data)
     table = b"xref\n%d 1\n%010d 00000 n \n" % (number, offset)
@@ -65,13 +65,8 @@ def _points(page: Page, box: Box) -> list[float]:
     return [(v - (left, bottom)[k % 2]) * 72.0 / 25.4 for k, v in enumerate(box)]
 
 
-def boxes(page: Page) -> str:
-    """Trim box and bleed box (ISO 32000-2, 14.11.2); '' without bleed.
-
-    Parameters
-    ----------
-    page : Page
-    """
+def _boxes(page: Page) -> str:
+    """Trim box and bleed box (ISO 32000-2, 14.11.2); '' without bleed."""
     if page.bleed <= 0:
         return ""
     bleed = page.bleed
@@ -82,13 +77,8 @@ def boxes(page: Page) -> str:
     return "".join(f"/{name} [ {' '.join(f'{v:.6f}' for v in _points(page, box))} ]\n" for name, box in found)
 
 
-def viewport(page: Page) -> str:
-    """Viewport dictionary of a map, in PDF notation; '' where its corners are not on the Earth (map of the globe).
-
-    Parameters
-    ----------
-    page : Page
-    """
+def _viewport(page: Page) -> str:
+    """Viewport dictionary of a map, in PDF notation; '' where its corners are not on the Earth (map of the globe)."""
     points = _points(page, page.neatline)
     head = f"<< /Type /Viewport /Name (Map) /BBox [ {' '.join(f'{v:.6f}' for v in points)} ] "
     if is_local(page.crs):

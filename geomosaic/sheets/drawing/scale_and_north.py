@@ -231,7 +231,7 @@ def draw_north(canvas: Canvas, x: float, top: float, convergence: float, magneti
         if angle or name == "MN"
     ]
     for name, angle, length in arms:
-        up = direction(angle)
+        up = _direction(angle)
         tip = foot + length * up
         canvas.lines([np.array([foot, tip])], "#000000", 0.25 if name != "GN" else 0.35)
         if name == "GN":
@@ -257,13 +257,8 @@ def _within(angle: float, length: float) -> float:
     return min(length, (ASIDE - 1.6) / across - 2.6) if across > 1e-9 else length
 
 
-def direction(angle: float) -> FloatArray:
-    """Unit vector on the page, degrees clockwise from up.
-
-    Parameters
-    ----------
-    angle : float, degrees
-    """
+def _direction(angle: float) -> FloatArray:
+    """Unit vector on the page, degrees clockwise from up."""
     a = math.radians(angle)
     return np.array([math.sin(a), math.cos(a)])
 

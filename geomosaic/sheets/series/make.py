@@ -39,28 +39,16 @@ _RECORD = ".sheets.json"
 INDEX, _INDEX_ENDS = "index", (".gpkg", ".pdf")
 
 
-def file_name(name: str) -> str:
-    """Name of a sheet as that of a file.
-
-    Parameters
-    ----------
-    name : str
-    """
+def _file_name(name: str) -> str:
+    """Name of a sheet as that of a file."""
     return re.sub(r"[^\w.-]+", "_", name).strip("_.") or "sheet"
 
 
 State = Literal["absent", "finished", "older", "foreign"]
 
 
-def state_of(path: Path, known: Mapping[str, Any] | None, key: str) -> State:
-    """State of a sheet's file: absent, made from what `key` stands for, made from something else, or foreign.
-
-    Parameters
-    ----------
-    path : Path
-    known : mapping or None, entry of the record
-    key : str, digest of what the sheet is made from
-    """
+def _state_of(path: Path, known: Mapping[str, Any] | None, key: str) -> State:
+    """State of a sheet's file: absent, made from what `key` stands for, made from something else, or foreign."""
     if not path.is_file():
         return "absent"
     if known is None:
@@ -94,7 +82,7 @@ def _refuse_one_file_for_two(names: Sequence[str], suffix: str) -> None:
     """Refuse names that make one file, also where the file system takes capitals and small letters for the same."""
     taken = {f"{INDEX}{end}": "the index of the series" for end in _INDEX_ENDS}
     for name in names:
-        file = (file_name(name) + suffix).casefold()
+        file = (_file_name(name) + suffix).casefold()
         if file in taken:
             raise InputError(
                 f"sheet '{name}' and {taken[file]} would both be the file {file}", hint="give the sheet another name"
@@ -246,10 +234,10 @@ def make_series(
     base = _dependency_digests(inputs, record)
     tasks, kept, order = [], [], []
     for name, place in zip(names, places, strict=True):
-        path, ring = folder / (file_name(name) + suffix), place.ring.tolist()
+        path, ring = folder / (_file_name(name) + suffix), place.ring.tolist()
         key = digest_of({**base, "name": name, "overlap": overlap, "ring": ring, "suffix": suffix})
         order.append((place, path))
-        state = state_of(path, record["sheets"].get(path.name), key)
+        state = _state_of(path, record["sheets"].get(path.name), key)
         if state == "foreign":
             raise OutputExistsError(
                 "a file stands where a sheet of the series belongs, and was not made with it",

@@ -85,14 +85,14 @@ class Mgrs:
     def map_crs(self, name: str) -> str | None:
         """UTM of its zone."""
         zone, band, _, _ = self._parse(name)
-        return utm(zone, band)
+        return _utm(zone, band)
 
     def find(self, x: float, y: float) -> str:
         """Square at a longitude and latitude."""
         if not (-180.0 <= x <= 180.0 and -80.0 <= y < 84.0):
             raise InputError(self.area, where=f"{x:.10g}, {y:.10g}", hint="longitude first, then latitude")
         zone, band = _zone_of(x, y), BANDS[min(int((y + 80.0) // 8.0), 19)]
-        east, north = Transform(parse_crs(self.crs), parse_crs(utm(zone, band)))(np.array([[x, y]]))[0]
+        east, north = Transform(parse_crs(self.crs), parse_crs(_utm(zone, band)))(np.array([[x, y]]))[0]
         return self._name(zone, band, math.floor(east / self.size + 1e-9), math.floor(north / self.size + 1e-9))
 
     def _name(self, zone: int, band: str, col: int, row: int) -> str:
@@ -130,7 +130,7 @@ class Mgrs:
     def _reach(self, zone: int, band: str, box: Cell) -> tuple[float, float]:
         """Least and largest northing of a zone in a band."""
         ring = densified_ring(corners(box), 20)
-        north = Transform(parse_crs(self.crs), parse_crs(utm(zone, band)))(ring)[:, 1]
+        north = Transform(parse_crs(self.crs), parse_crs(_utm(zone, band)))(ring)[:, 1]
         return float(north.min()), float(north.max())
 
     def proper(self, name: str) -> str:
@@ -145,7 +145,7 @@ class Mgrs:
 
         zone, band, col, row = self._parse(name)
         area = _zone_box(zone, band) or (0.0, 0.0, 0.0, 0.0)  # a name that is parsed has one
-        crs = utm(zone, band)
+        crs = _utm(zone, band)
         inside = Polygon(Transform(parse_crs(self.crs), parse_crs(crs))(densified_ring(corners(area), 400)))
         size = float(self.size)
         square = box(col * size, row * size, (col + 1) * size, (row + 1) * size)
@@ -181,7 +181,7 @@ class Mgrs:
                 common = None if area is None else rectangle(*area).intersection(rectangle(*box))
                 if common is None or common.is_empty or common.area == 0:
                     continue
-                to = Transform(parse_crs(self.crs), parse_crs(utm(zone, band)))
+                to = Transform(parse_crs(self.crs), parse_crs(_utm(zone, band)))
                 ring = to(densified_ring(corners(common.bounds), 50))
                 low, high = ring.min(axis=0) // self.size, ring.max(axis=0) // self.size
                 for row in range(int(high[1]), int(low[1]) - 1, -1):
@@ -194,14 +194,8 @@ class Mgrs:
                         yield name
 
 
-def utm(zone: int, band: str) -> str:
-    """EPSG code of WGS 84 / UTM.
-
-    Parameters
-    ----------
-    zone : int
-    band : str
-    """
+def _utm(zone: int, band: str) -> str:
+    """EPSG code of WGS 84 / UTM."""
     return f"EPSG:{(32600 if band >= 'N' else 32700) + zone}"
 
 

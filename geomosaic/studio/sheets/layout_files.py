@@ -137,24 +137,14 @@ def problem(text: str, name: str) -> GeomosaicError | None:
         Of the file, for errors.
     """
     try:
-        check_layout(checked(text, name))
+        check_layout(_checked(text, name))
     except GeomosaicError as error:
         return error
     return None
 
 
-def checked(text: str, name: str) -> Layout:
-    """Layout of a text.
-
-    Parameters
-    ----------
-    text : str
-    name : str
-
-    Raises
-    ------
-    InputError
-    """
+def _checked(text: str, name: str) -> Layout:
+    """Layout of a text."""
     return layout_of(values_of(text, name), name)
 
 
