@@ -8,6 +8,7 @@ GeomosaicError                what, where, hint; exit code 1
 │   └── OutputExistsError     the output exists and `overwrite` is not asked for
 ├── OutputError               writing failed: disk full, no permission
 ├── WorkerError               a cluster that cannot be used, or a unit of work that its workers lost too often
+│   └── WorkersUnreachableError  the scheduler or all workers went away on the way; exit code 4
 ├── InstallationError         the compiled kernels are missing or old; an ImportError, too
 ├── SensorError               no such sensor, a broken or a doubled plugin
 ├── SolveError                a least squares problem that is not determined or does not converge
@@ -109,6 +110,12 @@ class OutputError(GeomosaicError):
 
 class WorkerError(GeomosaicError):
     """Workers cannot be reached, are of another version, or lost a unit of work too often."""
+
+
+class WorkersUnreachableError(WorkerError):
+    """The scheduler, or all workers, went away while they worked; the same command does what is missing."""
+
+    exit_code = 4
 
 
 class InstallationError(GeomosaicError, ImportError):

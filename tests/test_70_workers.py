@@ -16,7 +16,8 @@ from cli_rig import PHOTOS
 import geomosaic as gm
 from geomosaic.errors import InputError, SensorInputError, WorkerError
 from geomosaic.execution import packing
-from geomosaic.execution.units import RETRIES, map_units
+from geomosaic.execution.units import map_units
+from geomosaic.execution.units_on_workers import RETRIES
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.cloud_mask import CloudMask
 
@@ -114,7 +115,7 @@ HARMLESS, DEADLY = 0, int(signal.SIGKILL)
 
 @pytest.mark.parametrize("retries", [1, pytest.param(RETRIES, marks=pytest.mark.slow)])
 def test_a_unit_that_kills_every_process_is_named_after_its_trials(retries, monkeypatch) -> None:
-    monkeypatch.setattr("geomosaic.execution.units.RETRIES", retries)
+    monkeypatch.setattr("geomosaic.execution.units_on_workers.RETRIES", retries)
     items, done = [HARMLESS, HARMLESS, DEADLY, HARMLESS], []
     with pytest.raises(WorkerError, match=f"begun {retries + 1} times and lost every time") as caught:
         done.extend(item for item, _ in map_units(signal.raise_signal, items, RenderOptions(workers=1)))
@@ -207,7 +208,7 @@ def test_addresses_of_this_machine_and_encrypted_ones_are_taken() -> None:
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch) -> None:
     pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
-    monkeypatch.setattr("geomosaic.execution.workers.SCHEDULER_TIMEOUT", 0.2)
+    monkeypatch.setattr("geomosaic.execution.cluster.SCHEDULER_TIMEOUT", 0.2)
     with pytest.raises(WorkerError, match="no Dask scheduler answers") as caught:
         list(map_units(float, [1], RenderOptions(workers="tcp://127.0.0.1:9")))
     assert caught.value.where == "tcp://127.0.0.1:9"

@@ -132,27 +132,30 @@ _functions: OrderedDict[str, Callable[[Any], Any]] = OrderedDict()
 _unpacking = threading.Lock()
 
 
-def run(key: str, data: bytes, item: Any) -> Any:
-    """Result of a packed function for an item; the function is unpacked once in a process.
+def function_of(key: str, data: bytes | None) -> Callable[[Any], Any] | None:
+    """Packed function, unpacked once in a process; of several the last few used are kept.
 
     Parameters
     ----------
     key : str
         Digest of `data`.
-    data : bytes
+    data : bytes, optional
         As `packed` gives it.
-    item
-        What the function takes.
+
+    Returns
+    -------
+    callable or None
+        None where it is neither kept nor given.
     """
     with _unpacking:
         if key not in _functions:
-            _functions[key] = unpacked(data)
-            while len(_functions) > _KEPT:
+            if data is None:
+                return None
+            while len(_functions) >= _KEPT:  # before the next one opens its images
                 _functions.popitem(last=False)
+            _functions[key] = unpacked(data)
         _functions.move_to_end(key)
-        function = _functions[key]
-    with environment():
-        return function(item)
+        return _functions[key]
 
 
 class _Packer(pickle.Pickler):

@@ -1,26 +1,22 @@
-"""Units of work in order: one loop for threads of this process and for workers outside of it."""
+"""Units of work in order, on threads of this process or on workers outside of it."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import contextmanager
 from itertools import islice
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from geomosaic.errors import GeomosaicError, RasterReadError, WorkerError
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.environment import enter_for_good, environment
 
 if TYPE_CHECKING:
-    from geomosaic.execution.workers import Pending, Workers
+    from geomosaic.execution.run_report import RunReport
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-# How often an item is begun again after its worker was lost.
-RETRIES = 3
 
 
 def map_units(
@@ -28,8 +24,8 @@ def map_units(
 ) -> Generator[tuple[Item, Result], None, None]:
     """Results of a function over items in their order, computed where the options say.
 
-    At most `ahead` items per thread or worker are begun before their turn: memory, here and in a scheduler, does not
-    grow with the number of items.
+    At most `ahead` items per thread, or tasks per worker, are begun before their turn: memory, here and in a scheduler,
+    does not grow with the number of items. Workers are those of `workers_for` where that is entered.
 
     Parameters
     ----------
@@ -54,11 +50,34 @@ def map_units(
         yield from map_in_order(function, items, options.threads, ahead)
         return
     # Where threads do, nothing of other processes is loaded.
-    from geomosaic.execution.packing import packed
-    from geomosaic.execution.workers import workers_of
+    from geomosaic.execution.units_on_workers import units_on_workers
 
-    with workers_of(options.workers, packed(function)) as workers:
-        yield from _by_workers(workers, items, ahead)
+    yield from units_on_workers(function, items, options, ahead)
+
+
+@contextmanager
+def workers_for(options: RenderOptions) -> Iterator[RunReport | None]:
+    """Workers for all units of a run: opened at first use, closed at the end.
+
+    Within another run on the same workers it is a part of that.
+
+    Parameters
+    ----------
+    options : RenderOptions
+        Its `workers`, and `memory_limit` for each of them.
+
+    Yields
+    ------
+    RunReport or None
+        Report, which grows; None where threads of this process do everything.
+    """
+    if options.workers is None:
+        yield None
+        return
+    from geomosaic.execution.workers import entered
+
+    with entered(options) as report:
+        yield report
 
 
 def map_in_order(
@@ -104,55 +123,3 @@ def map_in_order(
                 yield item, result
         finally:
             executor.shutdown(wait=True, cancel_futures=True)
-
-
-@dataclass(frozen=True)
-class _Begun:
-    """Item whose result is on its way."""
-
-    item: Any
-    pending: Pending
-
-
-def _by_workers(workers: Workers, items: Iterable[Item], ahead: int) -> Iterator[tuple[Item, Any]]:
-    source, waiting = iter(items), deque[_Begun]()
-    try:
-        for item in islice(source, workers.slots * ahead):
-            waiting.append(_Begun(item, workers.submit(item)))
-        while waiting:
-            first = waiting.popleft()
-            result = _result(workers, first)
-            for item in islice(source, 1):
-                waiting.append(_Begun(item, workers.submit(item)))
-            yield first.item, result
-    finally:
-        for one in waiting:
-            one.pending.cancel()
-
-
-def _result(workers: Workers, begun: _Begun) -> Any:
-    """Result of an item, which is begun again where its worker was lost."""
-    pending = begun.pending
-    for left in reversed(range(RETRIES + 1)):
-        try:
-            return pending.result()
-        except RasterReadError as error:
-            error.hint = f"{error.hint or 'check the path'}; workers must see the file under the same path"
-            raise
-        except GeomosaicError:  # the same anywhere
-            raise
-        except workers.gone as error:
-            raise WorkerError(
-                f"the workers are out of reach ({type(error).__name__}: {error})",
-                hint="start them anew, then run the same command again",
-            ) from error
-        except Exception as error:
-            if left and not isinstance(error, workers.lost):
-                pending = workers.submit(begun.item)
-                continue
-            raise WorkerError(
-                f"the unit was begun {RETRIES + 1} times and lost every time ({type(error).__name__}: {error})",
-                where=str(begun.item),
-                hint="look into the logs of the workers; with less memory each than a unit needs, give them more",
-            ) from error
-    raise AssertionError("unreachable")

@@ -1,234 +1,154 @@
-"""Workers outside of this process: local processes, an executor, or a Dask cluster, behind one small contract."""
+"""Workers outside of this process, opened once for a whole run: processes, an executor, or a Dask cluster."""
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from collections.abc import Iterator
-from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
-from typing import Any, Protocol
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import Any
 
-from geomosaic.digests import digest_of
-from geomosaic.errors import InputError, WorkerError
-from geomosaic.execution.packing import check_versions, run, versions
-
-# Seconds in which a scheduler has to answer.
-SCHEDULER_TIMEOUT = 30
-
-
-class Pending(Protocol):
-    """Result that is on its way."""
-
-    def result(self) -> Any:
-        """Result, waited for."""
-
-    def cancel(self) -> Any:
-        """Drop it, if it has not begun."""
+from geomosaic.errors import WorkersUnreachableError
+from geomosaic.execution.run_report import RunReport, current
+from geomosaic.execution.work import Work, Workers
+from geomosaic.options.render import RenderOptions
 
 
-class Workers(Protocol):
-    """Workers that run one packed function.
+@dataclass
+class Run:
+    """Run with its workers, which are opened when they are first needed.
 
     Attributes
     ----------
-    slots : int
-        Items that run at the same time.
-    lost : tuple of exception types
-        Failures after which an item is not begun again: workers have died with it as often as they may.
-    gone : tuple of exception types
-        Failures by which all workers are out of reach.
+    wanted : int, str, Executor or Client
+        As in `RenderOptions`.
+    memory : int
+        Bytes that each may hold.
+    report : RunReport
     """
 
-    slots: int
-    lost: tuple[type[BaseException], ...]
-    gone: tuple[type[BaseException], ...]
+    wanted: Any
+    memory: int
+    report: RunReport = field(default_factory=RunReport)
+    _opened: Workers | None = None
 
-    def submit(self, item: Any) -> Pending:
-        """Begin an item as soon as there is a free worker."""
+    @property
+    def workers(self) -> Workers:
+        """Workers, opened.
+
+        Raises
+        ------
+        WorkerError
+            The scheduler does not answer, has no workers, or workers that differ from here.
+        InputError
+            `distributed` is not installed.
+        """
+        if self._opened is None:
+            self._opened = opened = _opened(self.wanted, self.memory)
+            self.report.kind, self.report.slots, self.report.dashboard = opened.kind, opened.slots, opened.dashboard
+        return self._opened
+
+    def close(self) -> None:
+        """End the workers that were started; what was given open stays open."""
+        self.report.end()
+        if self._opened is not None:
+            self._opened.close()
+
+
+_run: ContextVar[Run | None] = ContextVar("run", default=None)
 
 
 @contextmanager
-def workers_of(wanted: Any, data: bytes) -> Iterator[Workers]:
-    """Workers for one packed function.
+def entered(options: RenderOptions) -> Iterator[RunReport]:
+    """Run on workers in this context, see `units.workers_for`.
 
     Parameters
     ----------
-    wanted : int, str, Executor or Client
-        Number of processes of this machine, address of a Dask scheduler, an executor of `concurrent.futures`, or a
-        `distributed.Client`; what is given open stays open.
-    data : bytes
-        See `packing.packed`.
+    options : RenderOptions
 
     Yields
     ------
-    Workers
-
-    Raises
-    ------
-    WorkerError
-        The scheduler does not answer, has no workers, or workers of another version.
-    InputError
-        `distributed` is not installed.
+    RunReport
     """
+    run = run_of(options)
+    if run is not None:
+        yield run.report
+        return
+    run = Run(options.workers, options.memory_limit)
+    before, shown = _run.set(run), current.set(run.report)
+    try:
+        yield run.report
+    finally:
+        _run.reset(before)
+        current.reset(shown)
+        run.close()
+
+
+def run_of(options: RenderOptions) -> Run | None:
+    """Run of these workers that is under way.
+
+    Parameters
+    ----------
+    options : RenderOptions
+    """
+    run = _run.get()
+    return run if run is not None and run.wanted == options.workers else None
+
+
+def _opened(wanted: Any, memory: int) -> Workers:
     if isinstance(wanted, int):
-        pool = _Processes(wanted, data)
-        try:
-            yield pool
-        finally:
-            pool.close()
-    elif isinstance(wanted, Executor):
-        yield _Executor(wanted, data)
-    elif isinstance(wanted, str):
-        with _client(wanted) as client:
-            yield _Dask(client, data)
-    else:
-        yield _Dask(wanted, data)
+        from geomosaic.execution.processes import Processes
 
+        return Processes(wanted, memory)
+    if isinstance(wanted, Executor):
+        return _Executor(wanted)
+    from geomosaic.execution.cluster import Cluster
 
-class _Processes:
-    """Processes of this machine; those that die are replaced."""
-
-    lost: tuple[type[BaseException], ...] = ()
-    gone: tuple[type[BaseException], ...] = ()
-
-    def __init__(self, count: int, data: bytes) -> None:
-        self.slots, self._data = count, data
-        self._pool = self._started()
-
-    def _started(self) -> ProcessPoolExecutor:
-        # Forked, they would inherit the locks of threads that are not there.
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.slots, context, initializer=_receive, initargs=(self._data,))
-
-    def submit(self, item: Any) -> Pending:
-        """Begin an item in a process."""
-        try:
-            return self._pool.submit(_run_received, item)
-        except BrokenProcessPool:  # a dead process takes all others of its pool along
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            self._pool = self._started()
-            return self._pool.submit(_run_received, item)
-
-    def close(self) -> None:
-        """End the processes."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
-
-
-# What a process of a pool was started with, once for all its items.
-_received: list[tuple[str, bytes]] = []
-
-
-def _receive(data: bytes) -> None:
-    import signal
-
-    # Ctrl-C reaches every process of the terminal: the one that was started ends its workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _received[:] = [(digest_of(data), data)]
-
-
-def _run_received(item: Any) -> Any:
-    return run(*_received[0], item)
+    return Cluster(wanted, memory)
 
 
 class _Executor:
-    """Any executor of `concurrent.futures`; each item goes along with the packed function."""
+    """Any executor of `concurrent.futures`; each task goes along with the packed function."""
 
-    lost: tuple[type[BaseException], ...] = ()
-    gone: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    dashboard: str | None = None
 
-    def __init__(self, executor: Executor, data: bytes) -> None:
+    def __init__(self, executor: Executor) -> None:
         self.slots = getattr(executor, "_max_workers", None) or os.cpu_count() or 1
-        self._executor, self._call = executor, (digest_of(data), data)
+        self.kind, self._executor = type(executor).__name__, executor
 
-    def submit(self, item: Any) -> Pending:
-        """Begin an item."""
-        return self._executor.submit(run, *self._call, item)
+    def begin(self, work: Work, items: Sequence[Any], patience: float) -> _ExecutorTask:
+        """Begin a task."""
+        from geomosaic.execution.task import run_task
 
+        with _reachable():
+            return _ExecutorTask(self._executor.submit(run_task, work.key, work.data, items))
 
-class _Dask:
-    """Workers of a Dask cluster.
-
-    The packed function is a task of its own: the scheduler makes it again where the worker that held it has died.
-    """
-
-    def __init__(self, client: Any, data: bytes) -> None:
-        from distributed import KilledWorker
-        from distributed.comm import CommClosedError
-
-        self._client, self._key = client, digest_of(data)
-        self.lost: tuple[type[BaseException], ...] = (KilledWorker,)
-        self.gone: tuple[type[BaseException], ...] = (CancelledError, *_cancelled(), CommClosedError)
-        threads = client.nthreads()
-        if not threads:
-            raise WorkerError(
-                "the cluster has no workers", where=_place(client), hint="start workers, then run the command again"
-            )
-        self.slots = sum(threads.values())
-        for worker, found in client.run(versions, on_error="return").items():
-            if isinstance(found, BaseException):
-                raise WorkerError(
-                    f"the worker cannot run geomosaic ({type(found).__name__}: {found})",
-                    where=worker,
-                    hint="install the same geomosaic and the same libraries on the workers as here",
-                ) from found
-            check_versions(found, worker)
-        self._data = client.submit(bytes, data, key=f"geomosaic-{self._key}-{os.urandom(4).hex()}")
-
-    def submit(self, item: Any) -> Pending:
-        """Begin an item on a worker."""
-        return _DaskResult(self._client, self._client.submit(run, self._key, self._data, item, pure=False))
+    def close(self) -> None:
+        """Nothing: who made the executor ends it."""
 
 
-class _DaskResult:
-    """Result on a cluster, which comes straight from its worker where that can be reached."""
+@dataclass(frozen=True)
+class _ExecutorTask:
+    future: Future[bytes | None]
 
-    def __init__(self, client: Any, future: Any) -> None:
-        self._client, self._future = client, future
-
-    def result(self) -> Any:
-        """Result, waited for; the cluster may forget it then."""
-        return self._client.gather(self._future, direct=True)
+    def answer(self) -> bytes:
+        """Answer, waited for."""
+        with _reachable():
+            return self.future.result() or b""
 
     def cancel(self) -> None:
         """Drop it, if it has not begun."""
-        self._future.cancel()
-
-
-def _cancelled() -> tuple[type[BaseException], ...]:
-    import distributed.client
-
-    own = getattr(distributed.client, "FutureCancelledError", None)
-    return () if own is None else (own,)
-
-
-def _place(client: Any) -> str:
-    return str(getattr(getattr(client, "scheduler", None), "address", "workers"))
+        self.future.cancel()
 
 
 @contextmanager
-def _client(address: str) -> Iterator[Any]:
-    """Client of the scheduler at an address, closed at the end."""
+def _reachable() -> Iterator[None]:
     try:
-        from distributed import Client, Security
-    except ImportError:
-        raise InputError(
-            "workers of a cluster need Dask's distributed, which is not installed",
-            where="`workers`",
-            hint="pip install 'geomosaic[cluster]', or give a number of processes of this machine",
-        ) from None
-    # Certificates are those of Dask's own configuration (distributed.comm.tls), never of a project file.
-    security = Security(require_encryption=True) if address.startswith("tls:") else None
-    try:
-        client = Client(address, timeout=SCHEDULER_TIMEOUT, security=security, set_as_default=False)
-    except (OSError, TimeoutError, TypeError, ValueError) as error:
-        raise WorkerError(
-            f"no Dask scheduler answers ({error})",
-            where=address,
-            hint="check the address and that the scheduler runs; tls:// needs certificates in Dask's configuration",
+        yield
+    except BrokenExecutor as error:
+        raise WorkersUnreachableError(
+            f"the workers are out of reach ({type(error).__name__}: {error})",
+            hint="start them anew, then run the same command again",
         ) from error
-    try:
-        yield client
-    finally:
-        client.close()

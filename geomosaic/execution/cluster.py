@@ -1,0 +1,201 @@
+"""Workers of a Dask cluster, by its address or its client."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from typing import Any
+
+from geomosaic.errors import InputError, WorkerError, WorkersUnreachableError
+from geomosaic.execution.packing import check_versions, versions
+from geomosaic.execution.task import run_task
+from geomosaic.execution.work import UnitsLostError, Work
+
+# Seconds in which a scheduler has to answer.
+SCHEDULER_TIMEOUT = 30
+# Seconds between looks at a cluster whose answer is waited for, and without any worker until it is given up.
+LOOK, ALONE = 5.0, 120.0
+# Functions whose bytes are held on the cluster.
+_HELD = 4
+
+
+class Cluster:
+    """Workers of a Dask cluster.
+
+    The packed function is a task of its own: the scheduler makes it again where the worker that held it has died.
+
+    Parameters
+    ----------
+    client : distributed.Client or str
+        A client stays open; of an address one is made, and closed at the end.
+    memory : int
+        Bytes that each worker must have.
+
+    Raises
+    ------
+    InputError
+        `distributed` is not installed.
+    WorkerError
+        The scheduler does not answer, has no workers, or workers of another version or of too little memory.
+    """
+
+    def __init__(self, client: Any, memory: int) -> None:
+        self._own = isinstance(client, str)
+        self._client = client = _client(client) if self._own else client
+        try:
+            threads = client.nthreads()
+            if not threads:
+                raise WorkerError(
+                    "the cluster has no workers", where=_place(client), hint="start workers, then run the command again"
+                )
+            self.slots, self.kind = sum(threads.values()), f"Dask cluster {_place(client)}"
+            self.dashboard: str | None = client.dashboard_link if _has_dashboard(client) else None
+            self._check_workers(memory)
+        except BaseException:
+            self.close()
+            raise
+        self._held: dict[str, Any] = {}
+        self.answered = time.monotonic()
+
+    def _check_workers(self, memory: int) -> None:
+        """Check of the versions and the memory of all workers."""
+        for worker, found in self._client.run(versions, on_error="return").items():
+            if isinstance(found, BaseException):
+                raise WorkerError(
+                    f"the worker cannot run geomosaic ({type(found).__name__}: {found})",
+                    where=worker,
+                    hint="install the same geomosaic and the same libraries on the workers as here",
+                ) from found
+            check_versions(found, worker)
+        for worker, its in self._client.scheduler_info(n_workers=-1)["workers"].items():
+            limit = its.get("memory_limit") or 0
+            if 0 < limit < memory:
+                raise WorkerError(
+                    f"the worker has {limit >> 20} MB of memory, and units may need {memory >> 20} MB",
+                    where=worker,
+                    hint="give a smaller `memory_limit` (--mem-limit), or workers with more memory",
+                )
+
+    def begin(self, work: Work, items: Sequence[Any], patience: float) -> _Task:
+        """Begin a task on a worker."""
+        data = self._held.pop(work.key, None)
+        if data is None:
+            key = f"geomosaic-{work.key}-{os.urandom(4).hex()}"
+            data = self._client.submit(bytes, work.data, key=key)
+        self._held[work.key] = data
+        while len(self._held) > _HELD:
+            del self._held[next(iter(self._held))]
+        key = f"{work.name}-{os.urandom(8).hex()}"
+        future = self._client.submit(run_task, work.key, data, items, key=key, pure=False)
+        return _Task(self, self._client, future, patience)
+
+    def close(self) -> None:
+        """Close the client that was made."""
+        self._held = {}
+        if self._own:
+            self._client.close()
+
+
+class _Task:
+    """Task on a cluster; its answer comes straight from its worker where that can be reached."""
+
+    def __init__(self, cluster: Cluster, client: Any, future: Any, patience: float) -> None:
+        self._cluster, self._client, self._future = cluster, client, future
+        self._patience, self._begun = patience, time.monotonic()
+        self._done = threading.Event()
+        future.add_done_callback(lambda _: self._done.set())
+
+    def answer(self) -> bytes:
+        """Answer, waited for; the cluster may forget it then."""
+        from distributed import KilledWorker
+
+        try:
+            self._wait()
+            found: bytes = self._client.gather(self._future, direct=True)
+        except KilledWorker as error:
+            raise UnitsLostError("died", str(error)) from error
+        except _gone() as error:
+            raise WorkersUnreachableError(
+                f"the cluster is out of reach ({type(error).__name__}: {error})",
+                where=_place(self._client),
+                hint="start it anew, then run the same command again: what is whole stays",
+            ) from error
+        self._cluster.answered = time.monotonic()
+        return found
+
+    def _wait(self) -> None:
+        """Wait until the task is over; one whose worker hangs is taken from it."""
+        alone: float | None = None
+        while not self._done.wait(LOOK):
+            now = time.monotonic()
+            if self._client.nthreads():
+                alone = None
+            else:
+                alone = alone or now
+                if now - alone > ALONE:
+                    raise WorkersUnreachableError(
+                        f"the cluster has had no workers for {ALONE:.0f} s",
+                        where=_place(self._client),
+                        hint="start workers, then run the same command again: what is whole stays",
+                    )
+                continue
+            # Tasks that wait behind others on a worker take their turn: what counts is when anything was answered.
+            silent = now - max(self._begun, self._cluster.answered)
+            if silent > self._patience:
+                self._restart_worker()
+                self.cancel()
+                raise UnitsLostError("hung", f"no answer in {silent:.0f} s")
+
+    def _restart_worker(self) -> None:
+        """Restart the worker that has the task, where a nanny watches over it."""
+        with suppress(Exception):  # without one it keeps hanging, and others do its work
+            busy = [worker for worker, keys in self._client.processing().items() if self._future.key in keys]
+            self._client.restart_workers(busy, timeout=SCHEDULER_TIMEOUT, raise_for_error=False)
+
+    def cancel(self) -> None:
+        """Drop it."""
+        with suppress(Exception):
+            self._future.cancel()
+
+
+def _gone() -> tuple[type[BaseException], ...]:
+    """Failures by which a whole cluster is out of reach."""
+    import distributed.client
+    from distributed.comm import CommClosedError
+
+    own = getattr(distributed.client, "FutureCancelledError", None)
+    return (CancelledError, CommClosedError, TimeoutError, *(() if own is None else (own,)))
+
+
+def _place(client: Any) -> str:
+    return str(getattr(getattr(client, "scheduler", None), "address", "workers"))
+
+
+def _has_dashboard(client: Any) -> bool:
+    return "dashboard" in client.scheduler_info(n_workers=0).get("services", {})
+
+
+def _client(address: str) -> Any:
+    """Client of the scheduler at an address."""
+    try:
+        from distributed import Client, Security
+    except ImportError:
+        raise InputError(
+            "workers of a cluster need Dask's distributed, which is not installed",
+            where="`workers`",
+            hint="pip install 'geomosaic[cluster]', or give a number of processes of this machine",
+        ) from None
+    # Certificates are those of Dask's own configuration (distributed.comm.tls), never of a project file.
+    security = Security(require_encryption=True) if address.startswith("tls:") else None
+    try:
+        return Client(address, timeout=SCHEDULER_TIMEOUT, security=security, set_as_default=False)
+    except (OSError, TimeoutError, TypeError, ValueError) as error:
+        raise WorkerError(
+            f"no Dask scheduler answers ({error})",
+            where=address,
+            hint="check the address and that the scheduler runs; tls:// needs certificates in Dask's configuration",
+        ) from error

@@ -1,0 +1,187 @@
+"""Task of a worker: a few units of one function, its answer, and what they took."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geomosaic.execution.packing import function_of
+from geomosaic.raster.environment import environment
+
+# A task ends early after so many seconds or bytes of results; what is left of it goes out again.
+LONGEST, LARGEST = 2.0, 16 << 20
+
+
+@dataclass(frozen=True)
+class Usage:
+    """Processor time and bytes of files of a process.
+
+    Attributes
+    ----------
+    processor_seconds : float
+    read, written : int, optional
+        None where the system does not count them.
+    """
+
+    processor_seconds: float
+    read: int | None = None
+    written: int | None = None
+
+    @classmethod
+    def of_process(cls) -> Usage:
+        """Usage of this process so far."""
+        read = written = None
+        with suppress(OSError, ValueError, KeyError):  # Linux counts them
+            lines = Path("/proc/self/io").read_text().splitlines()
+            counts = {name: int(count) for name, count in (line.split(": ") for line in lines)}
+            read, written = counts["rchar"], counts["wchar"]
+        return cls(time.process_time(), read, written)
+
+    def since(self, before: Usage) -> Usage:
+        """What was used after `before`."""
+        seconds = self.processor_seconds - before.processor_seconds
+        if self.read is None or self.written is None or before.read is None or before.written is None:
+            return Usage(seconds)
+        return Usage(seconds, self.read - before.read, self.written - before.written)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Results of a task.
+
+    Attributes
+    ----------
+    results : list
+        Of its first units; fewer than it has where it ended early or failed.
+    error : Exception, optional
+        Failure of the unit after them.
+    worker : str
+        Host and number of the process.
+    seconds : float
+        Spent in units.
+    longest : float
+        Seconds of the longest unit.
+    usage : Usage
+        Of the process meanwhile, each second and byte counted in one answer.
+    """
+
+    results: list[Any]
+    error: Exception | None
+    worker: str
+    seconds: float
+    longest: float
+    usage: Usage
+
+
+def run_task(key: str, data: bytes | None, items: Sequence[Any]) -> bytes | None:
+    """Answer of a task as bytes, for any process.
+
+    Parameters
+    ----------
+    key : str
+        Digest of `data`.
+    data : bytes, optional
+        The function, see `packing.packed`; it may be missing where this process has it.
+    items : sequence
+        What the function takes.
+
+    Returns
+    -------
+    bytes or None
+        A pickled `Answer`; None where the function is not here.
+    """
+    worker = f"{platform.node()}:{os.getpid()}"
+    results: list[bytes] = []
+    error: Exception | None = None
+    seconds = longest = 0.0
+    with _shared_usage:
+        try:
+            function = function_of(key, data)
+            if function is None:
+                return None
+            with environment():
+                while len(results) < len(items) and seconds < LONGEST and sum(map(len, results)) < LARGEST:
+                    started = time.perf_counter()
+                    results.append(pickle.dumps(function(items[len(results)]), protocol=5))
+                    spent = time.perf_counter() - started
+                    seconds, longest = seconds + spent, max(longest, spent)
+        except Exception as failure:
+            error = _sendable(failure)
+        used = _shared_usage.take()
+    head = pickle.dumps((error, worker, seconds, longest, used), protocol=5)
+    return _joined([head, *results])
+
+
+def answer_of(data: bytes) -> Answer:
+    """Answer that `run_task` gave as bytes.
+
+    Parameters
+    ----------
+    data : bytes
+
+    Returns
+    -------
+    Answer
+    """
+    head, *results = _parts(data)
+    error, worker, seconds, longest, used = pickle.loads(head)
+    return Answer([pickle.loads(one) for one in results], error, worker, seconds, longest, used)
+
+
+def _joined(parts: Sequence[bytes]) -> bytes:
+    return b"".join(piece for part in parts for piece in (len(part).to_bytes(8, "little"), part))
+
+
+def _parts(data: bytes) -> list[memoryview]:
+    whole, start, found = memoryview(data), 0, []
+    while start < len(whole):
+        size = int.from_bytes(whole[start : start + 8], "little")
+        found.append(whole[start + 8 : start + 8 + size])
+        start += 8 + size
+    return found
+
+
+def _sendable(error: Exception) -> Exception:
+    """The same error, or its text where it cannot be sent."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
+
+
+class _SharedUsage:
+    """Usage of a process over the tasks of all its threads, each second and byte told once."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running = 0
+        self._told = Usage(0.0)
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._running:  # what happened between tasks is not theirs
+                self._told = Usage.of_process()
+            self._running += 1
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._running -= 1
+
+    def take(self) -> Usage:
+        """What was used since it was last asked for."""
+        with self._lock:
+            now = Usage.of_process()
+            used, self._told = now.since(self._told), now
+        return used
+
+
+_shared_usage = _SharedUsage()
