@@ -25,6 +25,7 @@ from geomosaic.errors import GeomosaicError, GeomosaicWarning, Interrupted, Outp
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from geomosaic.execution.run_report import RunReport
     from geomosaic.types import Progress
 
 
@@ -281,6 +282,23 @@ def notes() -> Iterator[None]:
         yield
 
 
+class _RunStatus:
+    """Workers of the run under way in words; the address of a cluster's dashboard is told once."""
+
+    def __init__(self) -> None:
+        self.text = ""
+        self._told = False
+
+    def look(self) -> None:
+        """Look at the report of the run under way, if it has workers."""
+        module = sys.modules.get("geomosaic.execution.run_report")  # not loaded: there are none
+        run: RunReport | None = None if module is None else module.current.get()
+        self.text = "" if run is None else run.status
+        if run is not None and run.dashboard and not self._told:
+            self._told = True
+            say(f"workers are shown at {run.dashboard}")
+
+
 def _wants_bars(as_json: bool) -> bool:
     """Whether there is someone to look at progress bars."""
     return not as_json and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
@@ -289,6 +307,8 @@ def _wants_bars(as_json: bool) -> bool:
 @contextmanager
 def progress(as_json: bool) -> Iterator[Progress]:
     """Progress bars on a terminal, one per stage; elsewhere only a look whether to stop.
+
+    Of a cluster the address of its dashboard is told, wherever the output goes.
 
     Parameters
     ----------
@@ -301,7 +321,13 @@ def progress(as_json: bool) -> Iterator[Progress]:
         Takes (done, total, stage); a total of 0 is not known.
     """
     if not _wants_bars(as_json):
-        yield lambda done, total, stage: check_stopped()
+        told = _RunStatus()
+
+        def look(done: int, total: int, stage: str) -> None:
+            check_stopped()
+            told.look()
+
+        yield look
         return
     from time import monotonic
 
@@ -311,7 +337,7 @@ def progress(as_json: bool) -> Iterator[Progress]:
 
     from geomosaic.cli.time_left import TimeLeft, clock_text
 
-    left = TimeLeft()
+    left, told = TimeLeft(), _RunStatus()
 
     class Clock(ProgressColumn):
         """Time that a stage took, or what is left of it and of those that follow it."""
@@ -324,12 +350,22 @@ def progress(as_json: bool) -> Iterator[Progress]:
             words = "time left unknown" if own is None else f"{clock_text(own)} left"
             return Text(words if every is None else f"{words}, {clock_text(every)} in all", style="progress.remaining")
 
-    columns = (TextColumn("{task.description:<12}"), BarColumn(), MofNCompleteColumn(), Clock())
+    class Rate(ProgressColumn):
+        """Pieces a second; and on workers how many of these there are, and what they lost."""
+
+        def render(self, task: Task) -> Text:
+            rate = None if task.finished else left.rate(task.description)
+            words = [] if rate is None else [f"{rate:.1f}/s" if rate >= 1.0 else f"{60.0 * rate:.1f}/min"]
+            words += [told.text] if told.text and not task.finished else []
+            return Text(", ".join(words), style="progress.data.speed")
+
+    columns = (TextColumn("{task.description:<12}"), BarColumn(), MofNCompleteColumn(), Rate(), Clock())
     with Progress(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
 
         def report(done: int, total: int, stage: str) -> None:
             check_stopped()
+            told.look()
             left.tell(done, total, stage, monotonic())
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=total or None)

@@ -70,6 +70,7 @@ def _rendered_facts(result: OrthoResult | MosaicResult) -> dict[str, Any]:
         "notes": list(result.notes),
         **({} if result.placement is None else {"placement": dict(result.placement)}),
         **({} if result.accuracy is None else {"accuracy": result.accuracy.facts}),
+        **({} if result.run is None else {"run": result.run.facts}),
     }
 
 
@@ -92,6 +93,7 @@ def ortho_text(result: OrthoResult) -> str:
             + _hidden_text(result.hidden_pixels, result.grid),
             _geometry_text(result, result.seconds),
             *_expected_lines(result),
+            *([] if result.run is None else [str(result.run)]),
             *_placement_files(result),
         ]
     )
@@ -269,7 +271,7 @@ def mosaic_text(result: MosaicResult) -> str:
         lines.append(f"{counted(len(result.tiles), 'tile')} in {result.tiles[0].parent}")
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
-    lines += _expected_lines(result)
+    lines += [*_expected_lines(result), *([] if result.run is None else [str(result.run)])]
     return "\n".join([*lines, *_placement_files(result)])
 
 
@@ -351,6 +353,7 @@ def outcome_text(done: Outcome) -> str:
             *lines,
             *(_reuse_lines(facts["mosaic"]) if ran else ()),
             *accuracy_lines(facts),
+            *([] if done.run is None else [str(done.run)]),
             *(f"note: {note}" for note in done.project.settings.project.notes),
             *(f"{k.replace('_', ' ')}: {v}" for k, v in facts["outputs"].items()),
         ]

@@ -35,6 +35,11 @@ class TimeLeft:
             self._reports[stage].append((now, done))
         self._total[stage] = total
 
+    def rate(self, stage: str) -> float | None:
+        """Pieces of a stage that were done a second, lately; None where nothing tells."""
+        (first, begun), (last, done) = self._reports[stage][0], self._reports[stage][-1]
+        return (done - begun) / (last - first) if done > begun and last > first else None
+
     def of_stage(self, stage: str, now: float) -> float | None:
         """Seconds until a stage is over; None where nothing tells, or it takes longer than it seemed."""
         reports, total = self._reports[stage], self._total[stage]

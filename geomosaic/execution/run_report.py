@@ -150,6 +150,13 @@ class RunReport:
             "workers": [one.facts for one in self.workers.values()],
         }
 
+    @property
+    def status(self) -> str:
+        """Workers and lost units, in a few words."""
+        lost = self.lost.total()
+        words = counted(len(self.workers), "worker")
+        return f"{words}, {counted(lost, 'unit')} lost" if lost else words
+
     def __str__(self) -> str:
         lost = self.lost.total()
         again = f", {counted(lost, 'unit')} begun again" if lost else ""

@@ -8,12 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geomosaic.errors import GeomosaicError, InputError, QualityError
+from geomosaic.execution.units import workers_for
 from geomosaic.geo.crs import is_local, parse_crs
 from geomosaic.jobs import engine
-from geomosaic.jobs.manifest import Layout, read_json
+from geomosaic.jobs.manifest import Layout, read_json, write_json
 from geomosaic.jobs.run_control import Stop
 from geomosaic.jobs.step import (
     KEYS_OF_IMAGES,
@@ -33,12 +34,16 @@ from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES
 from geomosaic.options.declaration import paths_of
 from geomosaic.options.inputs import CRS_FILES
 from geomosaic.options.naming import keys_in_errors
+from geomosaic.options.render import RenderOptions
 from geomosaic.project.load import Project, load_project
 from geomosaic.project.sample_block import copy_sample
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import capabilities
 from geomosaic.types import PathLike, Progress
 from geomosaic.whole_files import path_of
+
+if TYPE_CHECKING:
+    from geomosaic.execution.run_report import RunReport
 
 
 def job_of(project: Project, machine: Machine | None = None) -> Job:
@@ -207,6 +212,10 @@ def _keys_of(project: Project) -> dict[str, Any]:
     return tables | {f"[{name}] {key}": value for name, values in found.items() for key, value in values.items()}
 
 
+# What each worker of the last run on workers did, in the project's folder of records.
+RUN_REPORT = "run.json"
+
+
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of a project run.
@@ -218,11 +227,14 @@ class Outcome:
         Of the steps that were looked at.
     failure : QualityError or None
         Thresholds that failed; everything is written all the same.
+    run : RunReport, optional
+        What each worker did; None where threads of the process did everything.
     """
 
     project: Project
     states: list[State]
     failure: QualityError | None
+    run: RunReport | None = None
 
     def __repr__(self) -> str:
         states = ", ".join(f"{state.name} {'fresh' if state.fresh else 'stale'}" for state in self.states)
@@ -241,6 +253,7 @@ class Outcome:
             **{name: read_json(path) for name, path in found.items() if path.is_file()},
             "outputs": {name: str(path) for name, path in outputs.items() if path.is_file()},
             "quality": self.failure.what if self.failure else None,
+            **({} if self.run is None else {"run": self.run.facts}),
         }
 
 
@@ -335,11 +348,16 @@ def run_steps(
         See `engine.run`; options are named by their section and key in the project file.
     """
     job = job_of(project, machine)
-    with keys_in_errors(project.path.name):
-        states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
+    with keys_in_errors(project.path.name), workers_for(RenderOptions(**(machine or Machine()).options)) as run:
+        try:
+            states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
+        finally:
+            if run is not None and run.units:  # of a run that ends early, too
+                write_json(project.state / RUN_REPORT, run.facts)
     looked_at = {state.name for state in states}
     judged = "check" if looked_at & {"check", "report"} else "orient" if "orient" in looked_at else None
-    return Outcome(project, states, changed_inputs(states) or (failure(project, judged) if judged else None))
+    verdict = changed_inputs(states) or (failure(project, judged) if judged else None)
+    return Outcome(project, states, verdict, run)
 
 
 def changed_inputs(states: Sequence[State]) -> QualityError | None:

@@ -19,6 +19,7 @@ from geomosaic.raster.sink import RasterProduct
 from geomosaic.raster.vector import Layer, write_layers
 
 if TYPE_CHECKING:
+    from geomosaic.execution.run_report import RunReport
     from geomosaic.mosaicking.colour.stretch import Stretch
     from geomosaic.render.accuracy import AccuracyRaster
 
@@ -69,6 +70,8 @@ class MosaicResult(RasterProduct):
         The same as JSON.
     accuracy : AccuracyRaster, optional
         Standard deviations of position, where they were asked for.
+    run : RunReport, optional
+        What each worker did; None where threads of the process did everything.
     """
 
     path: Path
@@ -97,6 +100,7 @@ class MosaicResult(RasterProduct):
     placement_file: Path | None = None
     accuracy: AccuracyRaster | None = None
     tiles: tuple[Path, ...] = ()
+    run: RunReport | None = None
 
 
 class Timer:

@@ -10,6 +10,7 @@ from typing import Any
 
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError
+from geomosaic.execution.units import workers_for
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.area import note_scattered, plan, plan_mosaic
 from geomosaic.inputs.bands import check_same_bands
@@ -69,20 +70,33 @@ def mosaic(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
     """
     place, wanted = Area(dst_crs, resolution, bounds, like=like), MosaicOptions.of(**options)
+    with workers_for(wanted.render) as run:
+        made = _mosaic(images, (dem, dem_heights), place, path_of(output, "output"), wanted)
+    return made if run is None else replace(made, run=run)
+
+
+def _mosaic(
+    images: Block | OrientedBlock | Sequence[Block | PathLike] | PathLike,
+    ground: tuple[PathLike | Dem | float | None, str | None],
+    place: Area,
+    output: Path,
+    wanted: MosaicOptions,
+) -> MosaicResult:
+    """Mosaic of whatever images are; `ground` is the DEM, and what its heights refer to."""
     if isinstance(images, OrientedBlock):
-        refuse_ground(dem, dem_heights)
-        return mosaic_oriented(images, place, path_of(output, "output"), wanted)
-    blocks = tuple(on_ground(block, dem, dem_heights) for block in as_blocks(images))
+        refuse_ground(*ground)
+        return mosaic_oriented(images, place, output, wanted)
+    blocks = tuple(on_ground(block, *ground) for block in as_blocks(images))
     planar = next((block.planar for block in blocks if block.planar is not None), None)
     if planar is None:
-        return make_mosaic(blocks, place, path_of(output, "output"), wanted)
+        return make_mosaic(blocks, place, output, wanted)
     if len(blocks) > 1:
         raise InputError(
             "photos that are placed together make a mosaic by themselves",
             where="`kind`",
             hint="make them alone, and mosaic the result with the others",
         )
-    return make_planar_mosaic(blocks[0], planar, place, path_of(output, "output"), wanted)
+    return make_planar_mosaic(blocks[0], planar, place, output, wanted)
 
 
 def check_outputs(output: Path, options: MosaicOptions, inputs: Iterable[Path], more: Iterable[Path] = ()) -> None:

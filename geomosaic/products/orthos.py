@@ -13,6 +13,7 @@ from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.execution.units import workers_for
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.transform import crs_defect, operation_between
@@ -84,13 +85,16 @@ def ortho(
     GeomosaicError
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
-    if isinstance(scene, OrientedBlock):
-        refuse_ground(dem, dem_heights)
-        wanted, area = compose(OrthoOptions, options), Area(dst_crs, resolution, bounds, like=like)
-        return ortho_oriented(scene, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
-    block = on_ground(scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),)), dem, dem_heights)
     wanted, area = compose(OrthoOptions, options), Area(dst_crs, resolution, bounds, like=like)
-    return make_ortho(block, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
+    with workers_for(wanted.render) as run:
+        if isinstance(scene, OrientedBlock):
+            refuse_ground(dem, dem_heights)
+            made = ortho_oriented(scene, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
+        else:
+            block = scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),))
+            block = on_ground(block, dem, dem_heights)
+            made = make_ortho(block, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
+    return made if run is None else replace(made, run=run)
 
 
 def make_ortho(

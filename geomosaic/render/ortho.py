@@ -34,6 +34,7 @@ from geomosaic.types import FloatArray
 if TYPE_CHECKING:
     from shapely import Polygon
 
+    from geomosaic.execution.run_report import RunReport
     from geomosaic.render.accuracy import AccuracyRaster
     from geomosaic.render.occlusion import OcclusionMask
 
@@ -147,6 +148,8 @@ class OrthoResult(RasterProduct):
         The same as a file.
     accuracy : AccuracyRaster, optional
         Standard deviations of position, where they were asked for.
+    run : RunReport, optional
+        What each worker did; None where threads of the process did everything.
     """
 
     path: Path
@@ -161,6 +164,7 @@ class OrthoResult(RasterProduct):
     placement: Mapping[str, Any] | None = None
     placement_file: Path | None = None
     accuracy: AccuracyRaster | None = None
+    run: RunReport | None = None
 
 
 @dataclass
