@@ -384,7 +384,7 @@ def mosaic(
         # Records look at every image once more, from the first row on.
         photos.again()
         if files.vectors is not None or files.item is not None:
-            facts = source_facts(photos, about or {})
+            facts = source_facts(photos, about or {}, render)
         if files.views is not None and files.labels is not None:
             with Timer(seconds, "views"):
                 write_views(files.views, files.labels, photos, render, reuse)
@@ -496,7 +496,7 @@ def _by_rule(
         with Timer(seconds, "mosaic"):
             pixels = render_mosaic(blender, files, options)
         photos.again()
-        facts = source_facts(photos, about or {}) if files.vectors or files.item else {}
+        facts = source_facts(photos, about or {}, render) if files.vectors or files.item else {}
     finally:
         photos.close()
     with Timer(seconds, "records"):
@@ -529,7 +529,7 @@ def _water_bodies(
         return ()
     from geomosaic.mosaicking.water_filling import read_water, water_bodies
 
-    return water_bodies(photos, read_water(options.seamlines.water, photos.grid), shapes, applied)
+    return water_bodies(photos, read_water(options.seamlines.water, photos.grid), shapes, applied, options.render)
 
 
 def _water_fingerprint(water: Sequence[WaterBody]) -> str:

@@ -8,21 +8,22 @@ every other sensor's, are the difference of one map: image(x, y, z) − image(x,
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geomosaic.digests import sha256
-from geomosaic.execution.units import map_in_order
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
-from geomosaic.raster.cog.tiles import WindowTiles
+from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
 from geomosaic.raster.image_metadata import acquisition_time
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
@@ -40,11 +41,11 @@ BANDS = ("view angle, degrees", "ground sampling distance, metres")
 TILE = 512
 # Nodes of the view geometry along each side of a unit: every 16 pixels.
 NODES = 33
-# Files whose checksums are computed at once.
-CHECKSUM_THREADS = 4
 
 
-def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> dict[str, list[Any]]:
+def source_facts(
+    photos: Photos, further: Mapping[str, Mapping[str, Any]], options: RenderOptions
+) -> dict[str, list[Any]]:
     """Facts of each source image as columns: acquisition time, view direction, resolution, checksum, further facts.
 
     View angle, azimuth and ground sampling distance are those at the place that an image sees best.
@@ -54,6 +55,8 @@ def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> di
     photos : Photos
     further : mapping of str to mapping
         Further facts by name of the image.
+    options : RenderOptions
+        Threads.
 
     Returns
     -------
@@ -61,26 +64,27 @@ def source_facts(photos: Photos, further: Mapping[str, Mapping[str, Any]]) -> di
         `acquired` (ISO 8601), `view_angle` and `view_azimuth` (degrees), `gsd_metres`, `sha256`, and those given.
     """
     rows: list[dict[str, Any]] = []
-    files = [Path(scene.path) for scene in photos.block.scenes]
-    for index, scene in enumerate(photos.block.scenes):
-        outline = photos.outlines[index]
-        with photos.using(index) as photo:
-            geometry = view_geometry(photo, photos, photos.grid, np.array([outline.centre]))
-        row: dict[str, Any] = {
-            "acquired": scene.acquired or acquisition_time(scene.path) or "",
-            "view_angle": float(geometry.angle[0]),
-            "view_azimuth": float(geometry.azimuth[0]),
-            "gsd_metres": float(geometry.sampling[0]),
-        }
-        rows.append({**row, **further.get(scene.name, {})})
-    # In threads: a digest of a large file releases the interpreter.
-    unknown = [(row, path) for row, path in zip(rows, files, strict=True) if "sha256" not in row and path.is_file()]
-    with ThreadPoolExecutor(CHECKSUM_THREADS) as executor:
-        sums = executor.map(sha256, [path for _, path in unknown])
-        for (row, _), checksum in zip(unknown, sums, strict=True):
-            row["sha256"] = checksum
+    given = [further.get(scene.name, {}) for scene in photos.block.scenes]
+    summed = frozenset(index for index, facts in enumerate(given) if "sha256" in facts)
+    for index, (facts, checksum) in map_units(partial(_facts_of_image, photos, summed), range(len(photos)), options):
+        rows.append({**facts, **given[index], **({} if checksum is None else {"sha256": checksum})})
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: [_without_none(row.get(name), [other.get(name) for other in rows]) for row in rows] for name in names}
+
+
+def _facts_of_image(photos: Photos, summed: Collection[int], index: int) -> tuple[dict[str, Any], str | None]:
+    """Acquisition and view of an image, and its checksum, where it is a file and that is not known."""
+    scene = photos.block.scenes[index]
+    with photos.using(index) as photo:
+        geometry = view_geometry(photo, photos, photos.grid, np.array([photos.outlines[index].centre]))
+    facts = {
+        "acquired": scene.acquired or acquisition_time(scene.path) or "",
+        "view_angle": float(geometry.angle[0]),
+        "view_azimuth": float(geometry.azimuth[0]),
+        "gsd_metres": float(geometry.sampling[0]),
+    }
+    path = Path(scene.path)
+    return facts, sha256(path) if index not in summed and path.is_file() else None
 
 
 def _without_none(value: Any, others: Sequence[Any]) -> Any:
@@ -129,37 +133,57 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
     reuse : Reuse, optional
         Says which units of the mosaic are unchanged; so are their views.
     """
-    grid = photos.grid
-    units = grid.window.split(TILE, TILE)
-
-    def one(window: Window) -> WindowTiles | None:
-        if window in kept:
-            return None
-        label = source.read(window)[0][..., 0]
-        found = np.full((*label.shape, 2), np.nan, dtype=np.float32)
-        for number in np.unique(label[(label > 0) & (label <= len(photos))]).tolist():
-            here = label == number
-            with photos.using(number - 1) as photo:
-                found[here] = view_raster(photo, photos, grid, window, NODES)[here]
-        return sink.tiles(window, found, np.isfinite(found[..., 0]).view(np.uint8))
-
-    with (
-        Source(str(labels)) as source,
-        RasterSink(
-            path, grid, Samples(2, "float32", nodata=float("nan")), driver=options.driver,
-            metadata=RasterMetadata(BANDS),
-            overwrite=options.overwrite, threads=options.threads,
-        ) as sink,
-    ):  # fmt: skip
+    units = photos.grid.window.split(TILE, TILE)
+    with Source(str(labels)) as source, _sink(path, BANDS, photos.grid, options) as sink:
         same = reuse is not None and reuse.views and sink.reuse_tiles_of(path)
         kept = {part for unit in reuse.taken for part in unit.split(TILE, TILE)} if same and reuse else set()
-        for done, (window, made) in enumerate(map_in_order(one, units, options.threads)):
-            if made is None:
-                sink.keep(window)
+        made = map_units(
+            _LabelledUnits(photos, source, sink.tiler, len(BANDS), _views_in),
+            [unit for unit in units if unit not in kept], options,
+        )  # fmt: skip
+        for done, unit in enumerate(units):
+            if unit in kept:
+                sink.keep(unit)
             else:
-                sink.add(made)
+                sink.add(next(made)[1])
             options.report(done + 1, len(units), "views")
         sink.finish()
+
+
+def _sink(path: Path, bands: tuple[str, ...], grid: Grid, options: RenderOptions) -> RasterSink:
+    return RasterSink(
+        path, grid, Samples(len(bands), "float32", nodata=float("nan")), driver=options.driver,
+        overwrite=options.overwrite, threads=options.threads, metadata=RasterMetadata(bands),
+    )  # fmt: skip
+
+
+# Values (rows, cols, bands) of a photo in a window of the output.
+_ValuesOf = Callable[[Photos, Window], Callable[[Photo], FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class _LabelledUnits:
+    """Values of each pixel's main source in the units of a raster, to its tiles; for any thread or process."""
+
+    photos: Photos
+    labels: Source
+    tiler: WindowTiler
+    bands: int
+    values: _ValuesOf
+
+    def __call__(self, window: Window) -> WindowTiles:
+        label = self.labels.read(window)[0][..., 0]
+        found = np.full((*label.shape, self.bands), np.nan, dtype=np.float32)
+        of_photo = self.values(self.photos, window)
+        for number in np.unique(label[(label > 0) & (label <= len(self.photos))]).tolist():
+            here = label == number
+            with self.photos.using(number - 1) as photo:
+                found[here] = of_photo(photo)[here]
+        return self.tiler.tiles(window, found, np.isfinite(found[..., 0]).view(np.uint8))
+
+
+def _views_in(photos: Photos, window: Window) -> Callable[[Photo], FloatArray]:
+    return lambda photo: view_raster(photo, photos, photos.grid, window, NODES)
 
 
 def view_raster(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes: int) -> FloatArray:
@@ -267,30 +291,19 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
         Height of level ground, metres in the surface's datum.
     options : RenderOptions
     """
-    grid = photos.grid
-    units = grid.window.split(TILE, TILE)
-
-    def one(window: Window) -> WindowTiles:
-        label = source.read(window)[0][..., 0]
-        found = np.full((*label.shape, len(DISPLACEMENT_BANDS)), np.nan, dtype=np.float32)
-        z = _heights(photos, grid, window)
-        for number in np.unique(label[(label > 0) & (label <= len(photos))]).tolist():
-            here = label == number
-            with photos.using(number - 1) as photo:
-                found[here] = displacement(photo, photos, grid, window, z, level)[here]
-        return sink.tiles(window, found, np.isfinite(found[..., 0]).view(np.uint8))
-
-    with (
-        Source(str(labels)) as source,
-        RasterSink(
-            path, grid, Samples(len(DISPLACEMENT_BANDS), "float32", nodata=float("nan")), driver=options.driver,
-            overwrite=options.overwrite, threads=options.threads, metadata=RasterMetadata(DISPLACEMENT_BANDS),
-        ) as sink,
-    ):  # fmt: skip
-        for done, (_, made) in enumerate(map_in_order(one, units, options.threads)):
+    units = photos.grid.window.split(TILE, TILE)
+    with Source(str(labels)) as source, _sink(path, DISPLACEMENT_BANDS, photos.grid, options) as sink:
+        values = partial(_displacement_in, level)
+        work = _LabelledUnits(photos, source, sink.tiler, len(DISPLACEMENT_BANDS), values)
+        for done, (_, made) in enumerate(map_units(work, units, options)):
             sink.add(made)
             options.report(done + 1, len(units), "displacement")
         sink.finish()
+
+
+def _displacement_in(level: float, photos: Photos, window: Window) -> Callable[[Photo], FloatArray]:
+    z = _heights(photos, photos.grid, window)
+    return lambda photo: displacement(photo, photos, photos.grid, window, z, level)
 
 
 def displacement(

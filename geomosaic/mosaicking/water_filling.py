@@ -9,17 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from geomosaic.digests import digest_of
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
-from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
+from geomosaic.mosaicking.colour.balance import ThumbnailOfImage, comparison_grid, thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected
 from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.mosaicking.seams.voronoi import polygonal
+from geomosaic.options.render import RenderOptions
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photos import Photos
@@ -59,7 +62,7 @@ def read_water(path: Path, grid: Grid) -> list[Any]:
 
 
 def least_glint(
-    photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]
+    photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction], options: RenderOptions
 ) -> dict[int, Any]:
     """Seam polygons in water: each body from the image with the least glint that shows it, the rest from the next.
 
@@ -74,6 +77,8 @@ def least_glint(
     outlines : sequence of Polygon or MultiPolygon
         What each image shows.
     colours : sequence of Correction
+    options : RenderOptions
+        Threads.
 
     Returns
     -------
@@ -82,20 +87,16 @@ def least_glint(
     """
     import shapely
 
-    grid = comparison_grid(photos, CELLS)
-    tree = shapely.STRtree(list(outlines))
-    seen: dict[int, tuple[Grid, Any, Any]] = {}
+    met: dict[int, list[int]] = {}
+    for body, i in shapely.STRtree(list(outlines)).query(list(water), predicate="intersects").T.tolist():
+        met.setdefault(i, []).append(body)
+    glints = partial(_glints, ThumbnailOfImage(photos, comparison_grid(photos, CELLS)), tuple(water), tuple(colours))
+    seen: list[list[tuple[float, float, int]]] = [[] for _ in water]
+    for (i, bodies), found in map_units(glints, sorted(met.items()), options, ahead=1):
+        for body, glint in zip(bodies, found, strict=True):
+            seen[body].append((shapely.intersection(water[body], outlines[i]).area, glint, i))
     shares: dict[int, list[Any]] = {}
-    for piece in water:
-        ranked = []
-        for i in sorted(int(k) for k in tree.query(piece, predicate="intersects")):
-            if i not in seen:
-                seen[i] = _brightness(photos, i, grid, colours[i])
-            part, bright, valid = seen[i]
-            here = (rasterized([(piece, 1)], part) == 1) & valid if bright.size else np.zeros((0, 0), dtype=bool)
-            shown = shapely.intersection(piece, outlines[i]).area
-            glint = float(np.percentile(bright[here], GLINT_PERCENTILE)) if here.any() else np.inf
-            ranked.append((shown, glint, i))
+    for piece, ranked in zip(water, seen, strict=True):
         # An image that shows a corner of the body may be dark there by chance.
         most = max((shown for shown, _, _ in ranked), default=0.0)
         ranked.sort(key=lambda entry: (entry[0] < most / 2, entry[1], entry[2]))
@@ -108,15 +109,20 @@ def least_glint(
     return {i: shapely.union_all(np.array(parts, dtype=object)) for i, parts in shares.items()}
 
 
-def _brightness(photos: Photos, index: int, grid: Grid, colour: Correction) -> tuple[Grid, Any, Any]:
-    """Corrected brightness (mean over bands) of an image on its part of a coarse grid, and the valid cells."""
-    window = grid.window_of(photos.outlines[index].bounds)
-    if window.empty:
-        return grid, np.zeros((0, 0)), np.zeros((0, 0), dtype=bool)
-    with photos.using(index) as photo:
-        piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
-    values = corrected(colour, piece.values, window, grid, photos.grid)
-    return grid.crop(window), values.mean(axis=2), piece.valid > 0
+def _glints(
+    thumbnails: ThumbnailOfImage, water: Sequence[Any], colours: Sequence[Correction], met: tuple[int, Sequence[int]]
+) -> list[float]:
+    """Glint of an image in each of the water bodies that it meets; infinite where it shows no cell of one."""
+    (index, bodies), grid = met, thumbnails.grid
+    seen = thumbnails(index)
+    if seen.window.empty:
+        return [np.inf] * len(bodies)
+    bright = corrected(colours[index], seen.values, seen.window, grid, thumbnails.photos.grid).mean(axis=2)
+    part, found = grid.crop(seen.window), []
+    for body in bodies:
+        here = (rasterized([(water[body], 1)], part) == 1) & (seen.valid > 0)
+        found.append(float(np.percentile(bright[here], GLINT_PERCENTILE)) if here.any() else np.inf)
+    return found
 
 
 # Standard deviation in cells of the Gaussian that smooths the tone of the shore.
@@ -162,7 +168,7 @@ class WaterBody:
 
 
 def water_bodies(
-    photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction]
+    photos: Photos, water: Sequence[Any], outlines: Sequence[Any], colours: Sequence[Correction], options: RenderOptions
 ) -> list[WaterBody]:
     """Water bodies with their tones; bodies that no image shows are left out.
 
@@ -174,32 +180,42 @@ def water_bodies(
     outlines : sequence of Polygon or MultiPolygon
         What each image shows.
     colours : sequence of Correction
+    options : RenderOptions
+        Threads.
 
     Returns
     -------
     list of WaterBody
     """
-    coarse = comparison_grid(photos, CELLS)
-    found = []
-    for piece in water:
-        window = coarse.window_of(piece.buffer(coarse.resolution[0]).bounds)
-        if window.empty:
-            continue
-        darkest: FloatArray = np.full((window.height, window.width, photos.info.bands), np.inf)
-        for i, outline in enumerate(outlines):
-            if not outline.intersects(piece):
-                continue
-            with photos.using(i) as photo:
-                seen = thumbnail(photo, photos.block.surface, coarse, window, "average", "float32")
-            values = corrected(colours[i], seen.values, window, coarse, photos.grid)
-            darker = (seen.valid > 0) & (values.mean(axis=2) < darkest.mean(axis=2))
-            darkest[darker] = values[darker]
-        known = np.isfinite(darkest[..., 0])
-        grid = coarse.crop(window)
-        inside = rasterized([(piece, 1)], grid) == 1
-        if (inside & known).any():
-            found.append(WaterBody(piece, grid, harmonic_tone(darkest, inside & known)))
-    return found
+    import shapely
+
+    met: list[list[int]] = [[] for _ in water]
+    for body, i in shapely.STRtree(list(outlines)).query(list(water), predicate="intersects").T.tolist():
+        met[body].append(i)
+    toned = partial(_toned, photos, comparison_grid(photos, CELLS), tuple(colours))
+    items = [(piece, sorted(images)) for piece, images in zip(water, met, strict=True)]
+    return [body for _, body in map_units(toned, items, options, ahead=1) if body is not None]
+
+
+def _toned(
+    photos: Photos, coarse: Grid, colours: Sequence[Correction], shown: tuple[Any, Sequence[int]]
+) -> WaterBody | None:
+    """Water body with the tone of its shores, from the images that meet it."""
+    piece, images = shown
+    window = coarse.window_of(piece.buffer(coarse.resolution[0]).bounds)
+    if window.empty:
+        return None
+    darkest: FloatArray = np.full((window.height, window.width, photos.info.bands), np.inf)
+    for i in images:
+        with photos.using(i) as photo:
+            seen = thumbnail(photo, photos.block.surface, coarse, window, "average", "float32")
+        values = corrected(colours[i], seen.values, window, coarse, photos.grid)
+        darker = (seen.valid > 0) & (values.mean(axis=2) < darkest.mean(axis=2))
+        darkest[darker] = values[darker]
+    known = np.isfinite(darkest[..., 0])
+    grid = coarse.crop(window)
+    inside = rasterized([(piece, 1)], grid) == 1
+    return WaterBody(piece, grid, harmonic_tone(darkest, inside & known)) if (inside & known).any() else None
 
 
 def harmonic_tone(values: FloatArray, inside: BoolArray) -> FloatArray:

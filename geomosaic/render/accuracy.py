@@ -18,12 +18,12 @@ import numpy as np
 
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, counted
-from geomosaic.execution.units import map_in_order
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.interpolation import interval
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
-from geomosaic.raster.cog.tiles import WindowTiles
+from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.sensor.error_propagation import InputUncertainty, LevelErrors
@@ -315,13 +315,6 @@ def write_accuracy(
     fields = _Fields.of(block, grid, known)
     units = fields.grid.window.split(TILE, TILE)
     total = _Totals(len(block.scenes))
-
-    def one(window: Window) -> tuple[WindowTiles, AnyArray, AnyArray]:
-        label = _labels(source, window, known.step, labelled)
-        label[label > len(block.scenes)] = 0  # hidden from all
-        values = fields.window(window, label)
-        return sink.tiles(window, values, np.isfinite(values[..., 0]).view(np.uint8)), values, label
-
     of = " and ".join(known.parts)
     x, y, *view = (f"standard deviation {which}, metres, of {of}" for which in DIRECTIONS)
     metres = (1.0, 0.0, "m")
@@ -334,13 +327,32 @@ def write_accuracy(
             overwrite=render.overwrite, threads=render.threads, metadata=metadata,
         ) as sink,
     ):  # fmt: skip
-        for done, (_, (made, values, label)) in enumerate(map_in_order(one, units, render.threads)):
+        work = _AccuracyUnits(fields, source, sink.tiler, labelled)
+        for done, (_, (made, sums)) in enumerate(map_units(work, units, render)):
             sink.add(made)
-            total.add(values, label)
+            total.add(sums)
             render.report(done + 1, len(units), "accuracy")
         sink.finish()
     names_of = [scene.name for scene in block.scenes]
     return AccuracyRaster(path, fields.grid, known.parts, *total.summary(names_of), (*known.notes, *total.notes))
+
+
+@dataclass(frozen=True, eq=False)
+class _AccuracyUnits:
+    """Standard deviations in the units of a raster, each to its tiles and sums; for any thread or process."""
+
+    fields: _Fields
+    shown: Source
+    tiler: WindowTiler
+    labelled: bool
+
+    def __call__(self, window: Window) -> tuple[WindowTiles, _Sums]:
+        fields = self.fields
+        label = _labels(self.shown, window, fields.known.step, self.labelled)
+        label[label > len(fields.block.scenes)] = 0  # hidden from all
+        values = fields.window(window, label)
+        tiles = self.tiler.tiles(window, values, np.isfinite(values[..., 0]).view(np.uint8))
+        return tiles, _Sums.of(values, label)
 
 
 def _labels(source: Source, window: Window, step: int, labelled: bool) -> IntArray:
@@ -358,8 +370,10 @@ def _labels(source: Source, window: Window, step: int, labelled: bool) -> IntArr
 
 @dataclass(frozen=True, eq=False)
 class _Fields:
-    """Standard deviations of the images of a block over a grid of cells."""
+    """Standard deviations of the images of a block over a grid of cells; other processes make its maps again."""
 
+    block: OrientedBlock
+    output: Grid
     grid: Grid
     pixel: float
     ground: Ground
@@ -376,7 +390,10 @@ class _Fields:
         crs = None if surface is None else surface.crs
         mappers = tuple(MapToImage.between(grid.crs, crs, scene.model) for scene in block.scenes)
         pixel = float(grid.resolution[0])
-        return cls(cells, pixel, Ground.under(cells, surface), sigmas, mappers, known)
+        return cls(block, grid, cells, pixel, Ground.under(cells, surface), sigmas, mappers, known)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Fields.of, (self.block, self.output, self.known)
 
     def window(self, window: Window, label: IntArray) -> AnyArray:
         """Values (rows, cols, BANDS) of a window whose cells show the images of `label`."""
@@ -527,9 +544,51 @@ def _differences(z: FloatArray, axis: int) -> FloatArray:
     return np.nan_to_num((before + after) / 2.0)
 
 
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Sums over the cells of a window.
+
+    Attributes
+    ----------
+    shown : int
+        Cells that show an image.
+    images : int array (K,)
+        Numbers of those of cells with a value.
+    counts : int array (K,)
+    squares : array (K, 4)
+        Sums of the squared standard deviations in `DIRECTIONS`, square metres.
+    histogram : int array (bins,)
+        Of those in plan.
+    largest : float
+        Of those in plan.
+    """
+
+    shown: int
+    images: IntArray
+    counts: IntArray
+    squares: FloatArray
+    histogram: IntArray
+    largest: float
+
+    @classmethod
+    def of(cls, values: AnyArray, label: IntArray) -> _Sums:
+        """Sums of a window's values (rows, cols, BANDS)."""
+        seen = np.isfinite(values[..., 0])
+        images, which = np.unique(label[seen] - 1, return_inverse=True)
+        sigma = values[seen][:, (0, 1, 3, 4)].astype(np.float64)
+        square = sigma * sigma
+        squares = [np.bincount(which, weights=axis, minlength=len(images)) for axis in square.T]
+        plan = np.sqrt(square[:, :2].sum(axis=1))
+        histogram = np.bincount(np.searchsorted(_BINS, plan), minlength=len(_BINS) + 1)
+        return cls(
+            int(np.count_nonzero(label)), images, np.bincount(which, minlength=len(images)),
+            np.column_stack(squares), histogram, float(plan.max(initial=0.0)),
+        )  # fmt: skip
+
+
 @dataclass
 class _Totals:
-    """Sums over the cells of a raster, gathered window by window."""
+    """Sums over the cells of a raster by image, gathered window by window; see `_Sums`."""
 
     images: int
     counts: IntArray = field(init=False)
@@ -543,20 +602,13 @@ class _Totals:
         self.squares = np.zeros((self.images, len(DIRECTIONS)))
         self.histogram = np.zeros(len(_BINS) + 1, dtype=np.int64)
 
-    def add(self, values: AnyArray, label: IntArray) -> None:
-        """Addition of a window's values (rows, cols, BANDS)."""
-        seen = np.isfinite(values[..., 0])
-        self.shown += int(np.count_nonzero(label))
-        if not seen.any():
-            return
-        number, sigma = label[seen] - 1, values[seen][:, (0, 1, 3, 4)].astype(np.float64)
-        square = sigma * sigma
-        self.counts += np.bincount(number, minlength=self.images)
-        for axis in range(len(DIRECTIONS)):
-            self.squares[:, axis] += np.bincount(number, weights=square[:, axis], minlength=self.images)
-        plan = np.sqrt(square[:, :2].sum(axis=1))
-        self.histogram += np.bincount(np.searchsorted(_BINS, plan), minlength=len(_BINS) + 1)
-        self.largest = max(self.largest, float(plan.max()))
+    def add(self, sums: _Sums) -> None:
+        """Addition of a window."""
+        self.shown += sums.shown
+        self.counts[sums.images] += sums.counts
+        self.squares[sums.images] += sums.squares
+        self.histogram += sums.histogram
+        self.largest = max(self.largest, sums.largest)
 
     @property
     def notes(self) -> list[str]:

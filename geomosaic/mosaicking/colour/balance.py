@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from geomosaic.execution.units import map_in_order
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.precedence import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
@@ -75,25 +75,10 @@ def block_samples(photos: Photos, options: RenderOptions, grid: Grid, hidden: Se
     # Only integers have ends of their range, at which values are clipped.
     overlaps = Overlaps(windows, (low, high) if whole else None)
     several = min(len(photos), max(FEW_PICTURES, len(photos) // 2), MAX_PICTURES)
-    chosen = set(np.linspace(0, len(photos) - 1, several).round().astype(int).tolist())
+    chosen = frozenset(np.linspace(0, len(photos) - 1, several).round().astype(int).tolist())
     pixels: dict[int, Thumbnail] = {}
-    centres = np.array([outline.centre for outline in photos.outlines])
-
-    def piece(index: int) -> tuple[Thumbnail, Thumbnail | None]:
-        window = windows[index]
-        single: SinglePixels | None = None
-        ground = ground_below(grid, photos.block.surface, window)
-        with photos.using(index) as photo:
-            if index in chosen:  # pixels besides means, which are hardly ever clipped
-                single = SinglePixels.of_nearest(photo, ground, grid, window, centres, index)
-                photo = replace(photo, source=cast(Source, single))
-            mean = thumbnail_over(ground, photo, grid, window, "average", "float32")
-        mean = replace(mean, valid=_with_valid_neighbours(mean.valid))
-        pixels_of = None if single is None else single.thumbnail(window, photo.scale, photos.info.dtype)
-        return restricted(mean, grid, hidden), pixels_of
-
-    rendered = map_in_order(piece, range(len(photos)), options.threads, ahead=1)
-    for done, (index, (found, single)) in enumerate(rendered):
+    samples = _SamplesOfImage(photos, grid, tuple(hidden), chosen, np.array([each.centre for each in photos.outlines]))
+    for done, (index, (found, single)) in enumerate(map_units(samples, range(len(photos)), options, ahead=1)):
         overlaps.add(index, found)
         if single is not None:
             pixels[index] = single
@@ -101,6 +86,31 @@ def block_samples(photos: Photos, options: RenderOptions, grid: Grid, hidden: Se
             level[index] = np.median(found.values[found.valid > 0], axis=0)
         options.report(done + 1, len(photos), "balance")
     return BlockSamples(overlaps.found, level, pixels)
+
+
+@dataclass(frozen=True, eq=False)
+class _SamplesOfImage:
+    """Means of cells of a photo by its number, and single pixels of some; for any thread or process."""
+
+    photos: Photos
+    grid: Grid
+    hidden: tuple[Any, ...]
+    chosen: frozenset[int]
+    centres: FloatArray
+
+    def __call__(self, index: int) -> tuple[Thumbnail, Thumbnail | None]:
+        photos, grid = self.photos, self.grid
+        window = grid.window_of(photos.outlines[index].bounds)
+        single: SinglePixels | None = None
+        ground = ground_below(grid, photos.block.surface, window)
+        with photos.using(index) as photo:
+            if index in self.chosen:  # pixels besides means, which are hardly ever clipped
+                single = SinglePixels.of_nearest(photo, ground, grid, window, self.centres, index)
+                photo = replace(photo, source=cast(Source, single))
+            mean = thumbnail_over(ground, photo, grid, window, "average", "float32")
+        mean = replace(mean, valid=_with_valid_neighbours(mean.valid))
+        pixels_of = None if single is None else single.thumbnail(window, photo.scale, photos.info.dtype)
+        return restricted(mean, grid, self.hidden), pixels_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,6 +320,37 @@ def thumbnail(
     """
     ground = ground_below(places or grid, surface, window)
     return thumbnail_over(ground, photo, grid, window, resampling, dtype, places)
+
+
+@dataclass(frozen=True, eq=False)
+class ThumbnailOfImage:
+    """Thumbnail of a photo by its number; for any thread or process.
+
+    Attributes
+    ----------
+    photos : Photos
+    grid : Grid
+    resampling, dtype, places
+        As in `thumbnail`.
+    hidden, region
+        As in `restricted`.
+    """
+
+    photos: Photos
+    grid: Grid
+    resampling: str = "average"
+    dtype: str = "float32"
+    places: Grid | None = None
+    hidden: Sequence[Any] = ()
+    region: Sequence[Any] | None = None
+
+    def __call__(self, index: int) -> Thumbnail:
+        """Thumbnail on the cells that its footprint's bounds meet."""
+        photos, grid = self.photos, self.grid
+        window = grid.window_of(photos.outlines[index].bounds)
+        with photos.using(index) as photo:
+            found = thumbnail(photo, photos.block.surface, grid, window, self.resampling, self.dtype, self.places)
+        return restricted(found, grid, self.hidden, self.region)
 
 
 def ground_below(grid: Grid, surface: Surface | None, window: Window) -> list[BlockGround]:

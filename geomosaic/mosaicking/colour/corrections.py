@@ -44,8 +44,13 @@ def _cameras(photos: Photos) -> IntArray:
     return np.array(numbers, dtype=np.int64)
 
 
-def _view_radius(photos: Photos) -> float:
-    """Half the diagonal of a footprint in map units, the median of all."""
+def view_radius(photos: Photos) -> float:
+    """Half the diagonal of a footprint in map units, the median of all.
+
+    Parameters
+    ----------
+    photos : Photos
+    """
     radii = [np.hypot(*(outline.ring - np.array(outline.centre)).T).max() for outline in photos.outlines]
     return float(np.median(radii))
 
@@ -65,7 +70,7 @@ def sample_positions(photos: Photos, grid: Grid) -> SamplePositions:
         Image and cells (N, 2) as (col, row) → positions in the image and on the ground, each (N, 2), in the units of
         `radiometry.bases`. For a reference, which is numbered after the photos, all positions are 0.
     """
-    radius = _view_radius(photos)
+    radius = view_radius(photos)
 
     def find(index: int, cells: AnyArray) -> tuple[FloatArray, FloatArray]:
         if index >= len(photos):
@@ -89,15 +94,17 @@ def _positions(photos: Photos, index: int, xy: FloatArray, radius: float) -> tup
     return image, np.clip(view, -1.2, 1.2)
 
 
-def correction_field(photos: Photos, index: int, fields: ColourModel) -> CorrectionField:
+def correction_field(photos: Photos, fields: ColourModel, radius: float, index: int) -> CorrectionField:
     """Correction field of one photo, laid out over its footprint in the output.
 
     Parameters
     ----------
     photos : Photos
+    fields : ColourModel
+    radius : float
+        Unit of positions on the ground, see `view_radius`.
     index : int
         Number of the photo.
-    fields : ColourModel
 
     Returns
     -------
@@ -111,7 +118,7 @@ def correction_field(photos: Photos, index: int, fields: ColourModel) -> Correct
     rows = window.row + spacing * np.arange(max(2, int(np.ceil(window.height / spacing)) + 1))
     c, r = np.meshgrid(cols, rows)
     xy = photos.grid.xy(np.column_stack([c.ravel(), r.ravel()]))
-    image, view = _positions(photos, index, xy, _view_radius(photos))
+    image, view = _positions(photos, index, xy, radius)
     log = np.full((len(xy), fields.gain.shape[1]), np.nan)
     seen = np.isfinite(image).all(axis=1)
     if seen.any():

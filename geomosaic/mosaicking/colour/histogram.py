@@ -12,10 +12,11 @@ from affine import Affine
 
 from geomosaic.block import OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError, counted
-from geomosaic.execution.units import map_in_order
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import balance_change
 from geomosaic.mosaicking.colour.balance import (
+    ThumbnailOfImage,
     comparison_grid,
     master_index,
     restricted,
@@ -70,11 +71,9 @@ def reference_samples(
     low, high, whole = value_range(photos.info.dtype)
     clipped = (low, high) if whole else None
     found, number = [], len(photos)
-    for index in range(len(photos)):
-        window = coarse.window_of(photos.outlines[index].bounds)
-        with photos.using(index) as photo:
-            piece = thumbnail(photo, photos.block.surface, coarse, window, "average", "float32")
-        pair = overlap_of(index, number, restricted(piece, coarse, hidden), shown, None)
+    thumbnails = ThumbnailOfImage(photos, coarse, hidden=hidden)
+    for index, piece in map_units(thumbnails, range(number), options, ahead=1):
+        pair = overlap_of(index, number, piece, shown, None)
         if pair is not None:
             found.append(_unclipped(pair, clipped))
         options.report(index + 1, len(photos), "reference")
@@ -176,18 +175,15 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
     master_number = master_index(photos, master)
     pieces: list[Thumbnail] = []
 
-    def in_region(found: Thumbnail) -> Thumbnail:
-        return restricted(found, grid, hidden, region)
-
-    def piece(index: int) -> Thumbnail:
-        return in_region(_piece(photos, index, grid))
-
-    rendered = map_in_order(piece, range(len(photos)), render.threads, ahead=1)
-    for done, (_, found) in enumerate(rendered):
+    # Single pixels: means of cells would narrow the distribution.
+    places = _places(grid, photos.grid)
+    thumbnails = ThumbnailOfImage(photos, grid, "nearest", photos.info.dtype, places, hidden, region)
+    for done, (_, found) in enumerate(map_units(thumbnails, range(len(photos)), render, ahead=1)):
         pieces.append(found)
         render.report(done + 1, len(photos), "histograms")
     if reference is not None:
-        target = in_region(_reference_thumbnail(reference, photos, grid, render, "nearest")[0])
+        shown, _ = _reference_thumbnail(reference, photos, grid, render, "nearest")
+        target = restricted(shown, grid, hidden, region)
     elif method == "sequence":
         target = pieces[master_number or 0]
     else:
@@ -211,14 +207,6 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
     gain, offset = np.array([line[0] for line in lines]), np.array([line[1] for line in lines])
     solved = Balance(gain, offset, before, after, pairs, tuple(curves))
     return replace(solved, change=balance_change(dict(enumerate(pieces)), solved, grid, photos))
-
-
-def _piece(photos: Photos, index: int, grid: Grid) -> Thumbnail:
-    window = grid.window_of(photos.outlines[index].bounds)
-    with photos.using(index) as photo:
-        # Single pixels: means of cells would narrow the distribution.
-        places = _places(grid, photos.grid)
-        return thumbnail(photo, photos.block.surface, grid, window, "nearest", photos.info.dtype, places=places)
 
 
 def _places(grid: Grid, output: Grid) -> Grid:

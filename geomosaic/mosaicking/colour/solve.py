@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from geomosaic.block import OrientedImage
 from geomosaic.errors import listed
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import (
     OverlapSamples,
@@ -17,7 +19,7 @@ from geomosaic.mosaicking.colour.acceptance import (
     registered_overlaps,
 )
 from geomosaic.mosaicking.colour.balance import block_samples, comparison_grid, master_index
-from geomosaic.mosaicking.colour.corrections import colour_setting, correction_field, sample_positions
+from geomosaic.mosaicking.colour.corrections import colour_setting, correction_field, sample_positions, view_radius
 from geomosaic.mosaicking.colour.histogram import match_histograms, reference_samples
 from geomosaic.mosaicking.colour.sensors import compared_overlaps, with_grey_matched
 from geomosaic.mosaicking.precedence import filling_images
@@ -128,7 +130,8 @@ def _solve_fields(
     fields = solve_colour_model(views, replace(setting, terms=terms), start.gain, start.offset, linear)
     # Into each field, so that the mosaic is still made in one pass.
     gain, offset = _to_anchor(fields, samples.anchor)
-    shades = tuple(correction_field(photos, i, fields).then(gain, offset) for i in range(len(photos)))
+    made = map_units(partial(correction_field, photos, fields, view_radius(photos)), range(len(photos)), options.render)
+    shades = tuple(shade.then(gain, offset) for _, shade in made)
     lines = [shade.line() for shade in shades]
     before, after = _differences(views, fields, gain, len(photos))
     return Balance(

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.execution.units import map_in_order
-from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
+from geomosaic.execution.units import map_units
+from geomosaic.mosaicking.colour.balance import ThumbnailOfImage, comparison_grid
 from geomosaic.mosaicking.colour.corrections import Correction, corrected, with_gain_offset
 from geomosaic.options.render import RenderOptions
 from geomosaic.render.photos import Photos
@@ -125,16 +125,10 @@ def _corrected_values(photos: Photos, options: RenderOptions, applied: Sequence[
     """Corrected values of all images on a coarse grid, all bands together."""
     # From the images before the mosaic is made, so that the stretch goes into each image's correction and the mosaic is
     # still made in one pass.
-    grid = comparison_grid(photos)
-
-    def piece(index: int) -> FloatArray:
-        window = grid.window_of(photos.outlines[index].bounds)
-        with photos.using(index) as photo:
-            found = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
-        values = corrected(applied[index], found.values, window, grid, photos.grid)
-        return np.asarray(values[found.valid > 0].ravel())
-
-    parts = [part for _, part in map_in_order(piece, range(len(photos)), options.threads, ahead=1)]
+    grid, parts = comparison_grid(photos), []
+    for index, found in map_units(ThumbnailOfImage(photos, grid), range(len(photos)), options, ahead=1):
+        values = corrected(applied[index], found.values, found.window, grid, photos.grid)
+        parts.append(np.asarray(values[found.valid > 0].ravel()))
     values = np.concatenate(parts) if parts else np.zeros(0)
     if not len(values):
         raise InputError("no image shows anything to stretch", hint="leave out `stretch`")

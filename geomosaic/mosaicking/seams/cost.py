@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from geomosaic.execution.units import map_in_order
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.mosaicking.colour.balance import thumbnail
@@ -249,11 +250,8 @@ def seam_cost(
     neighbours = _overlapping_images(candidates)
     order = sorted(neighbours, key=lambda i: (windows[i].row, i))
     held: dict[int, Features] = {}
-
-    def terms(i: int) -> tuple[Features, FloatArray]:
-        return _image_terms(photos, i, grid, windows[i], colours[i], weights)
-
-    for done, (i, (found, cost)) in enumerate(map_in_order(terms, order, options.threads, ahead=1)):
+    terms = partial(_image_terms, photos, grid, tuple(colours), weights)
+    for done, (i, (found, cost)) in enumerate(map_units(terms, order, options, ahead=1)):
         held[i] = found
         unary[:, *_slices(windows[i])] += np.where(candidates[:, *_slices(windows[i])] == i, cost, 0)
         for j in sorted(neighbours[i] & held.keys()):
@@ -289,14 +287,15 @@ def _slices(window: Window) -> tuple[slice, slice]:
 
 
 def _image_terms(
-    photos: Photos, index: int, grid: Grid, window: Window, colour: Correction, weights: SeamWeights
+    photos: Photos, grid: Grid, colours: Sequence[Correction], weights: SeamWeights, index: int
 ) -> tuple[Features, FloatArray]:
     """Features of an image on its window, and its unary cost (rows, cols) there."""
+    window = grid.window_of(photos.outlines[index].bounds)
     with photos.using(index) as photo:
         piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
         angle = _angles(photo, photos, grid, window) if weights.angle else np.zeros(piece.valid.shape)
     valid = piece.valid > 0
-    values = corrected(colour, piece.values, window, grid, photos.grid)
+    values = corrected(colours[index], piece.values, window, grid, photos.grid)
     price = weights.angle * np.minimum(angle / REFERENCE_ANGLE, 1) + weights.edge * edge_proximity(valid)
     return features(values, valid), price
 

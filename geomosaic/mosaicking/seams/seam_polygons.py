@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from geomosaic.errors import GeomosaicWarning
-from geomosaic.execution.units import map_in_order
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.window_index import WindowIndex
-from geomosaic.mosaicking.colour.balance import comparison_grid, thumbnail
+from geomosaic.mosaicking.colour.balance import ThumbnailOfImage, comparison_grid
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.precedence import image_order, image_ranks
 from geomosaic.mosaicking.reruns import EarlierResults
@@ -233,7 +234,8 @@ def _with_water_polygons(
     from geomosaic.mosaicking.seams.cutlines import with_cutlines
     from geomosaic.mosaicking.water_filling import least_glint, read_water
 
-    return with_cutlines(shares, least_glint(photos, read_water(options.seamlines.water, photos.grid), shapes, colours))
+    water = read_water(options.seamlines.water, photos.grid)
+    return with_cutlines(shares, least_glint(photos, water, shapes, colours, options.render))
 
 
 def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
@@ -338,11 +340,10 @@ def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
         return shapes
     grid = comparison_grid(photos, CELLS)
     empty = []
-    for i, (part, valid) in map_in_order(lambda i: _valid_cells(photos, i, grid), masked, options.threads, ahead=1):
-        found = _outline(part, valid, shapes[i]) if valid.size else None
+    for i, (found, shown) in map_units(partial(_valid_outline, photos, grid), masked, options, ahead=1):
         if found is not None:
             shapes[i] = found
-        elif valid.size and not valid.any():
+        elif not shown:
             empty.append(photos.outlines[i].name)
     if empty:
         warnings.warn(
@@ -354,13 +355,12 @@ def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
     return shapes
 
 
-def _valid_cells(photos: Photos, index: int, grid: Grid) -> tuple[Grid, ByteArray]:
-    window = grid.window_of(photos.outlines[index].bounds)
-    if window.empty:
-        return grid, np.zeros((0, 0), dtype=np.uint8)
-    with photos.using(index) as photo:
-        piece = thumbnail(photo, photos.block.surface, grid, window, "nearest", photos.info.dtype)
-    return grid.crop(window), piece.valid
+def _valid_outline(photos: Photos, grid: Grid, index: int) -> tuple[Any | None, bool]:
+    """Outline of the valid pixels of an image, None where those are all or none, and whether there are any."""
+    piece = ThumbnailOfImage(photos, grid, "nearest", photos.info.dtype)(index)
+    if piece.window.empty:
+        return None, True
+    return _outline(grid.crop(piece.window), piece.valid, photos.outlines[index].polygon), bool(piece.valid.any())
 
 
 def _outline(grid: Grid, valid: ByteArray, rectangle: Any) -> Any | None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from geomosaic.execution.units import map_in_order
+from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Window
 from geomosaic.matching.shifts import shifts
 from geomosaic.mosaicking.blending.block import Blender
@@ -188,22 +189,23 @@ def measure_seams(blender: Blender, segments: Sequence[Segment], options: Render
     list of SeamQuality
         One per segment.
     """
-
-    def one(segment: Segment) -> SeamQuality:
-        # The tile, and room on all sides for the search.
-        window = _window(blender, segment, TILE + 2 * (SEARCH + 2))
-        if window.empty:
-            return NOT_MEASURED
-        (a, a0, seen_a), (b, b0, seen_b) = (
-            _values_before_and_after(blender, k, window) for k in (segment.first, segment.second)
-        )
-        return compare_images(a, b, a0, b0, seen_a & seen_b, _seam_band(blender, segment, window))
-
     found = []
-    for done, (_, quality) in enumerate(map_in_order(one, segments, options.threads)):
+    for done, (_, quality) in enumerate(map_units(partial(_measured, blender), segments, options)):
         found.append(quality)
         options.report(done + 1, len(segments), "seam quality")
     return found
+
+
+def _measured(blender: Blender, segment: Segment) -> SeamQuality:
+    """Agreement of both images in the middle of a segment."""
+    # The tile, and room on all sides for the search.
+    window = _window(blender, segment, TILE + 2 * (SEARCH + 2))
+    if window.empty:
+        return NOT_MEASURED
+    (a, a0, seen_a), (b, b0, seen_b) = (
+        _values_before_and_after(blender, k, window) for k in (segment.first, segment.second)
+    )
+    return compare_images(a, b, a0, b0, seen_a & seen_b, _seam_band(blender, segment, window))
 
 
 def compare_images(

@@ -1,0 +1,136 @@
+"""Steps on workers: each computes its units in other processes, to the bytes and facts of one thread."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import traceback
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_rig import PHOTOS
+
+import geomosaic as gm
+from geomosaic.execution.run_report import RunReport
+from geomosaic.execution.units import workers_for
+from geomosaic.options.render import RenderOptions
+from geomosaic.raster.source import Source
+
+SAMPLE = Path(__file__).parents[1] / "data" / "sample"
+FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
+BLOCK = gm.Block([SAMPLE / "photos" / name for name in PHOTOS[::2]], "frame", dem=SAMPLE / "dem.tif", **FILES)
+# Across both photos.
+PLACE = {"resolution": 1.0, "bounds": (400000.0, 5499700.0, 400140.0, 5500300.0), "tile": 1024}
+
+
+WORKERS = 2
+
+
+@pytest.fixture(scope="module")
+def run() -> Iterator[RunReport]:
+    """Report of a run on two processes, which takes in all tests of this file."""
+    with workers_for(RenderOptions(workers=WORKERS)) as report:
+        assert report is not None
+        yield report
+
+
+def units(run: RunReport) -> Counter[str]:
+    """Units that workers have computed so far, by the name of their function."""
+    assert f"{platform.node()}:{os.getpid()}" not in run.workers
+    return sum((worker.units for worker in run.workers.values()), Counter())
+
+
+@pytest.fixture(autouse=True)
+def fixed_time(monkeypatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+# Functions that read a few photos at the client, however many the block has: 48 places, and 10.
+FEW = ("_difference_noise", "worst_places")
+
+
+@pytest.fixture
+def read_here(monkeypatch) -> list[str]:
+    """Photos that this process reads from now on, but for those of `FEW`."""
+    found: list[str] = []
+    read = Source.read
+
+    def noted(self: Source, *args: Any, **options: Any) -> Any:
+        frames = {frame.name for frame in traceback.extract_stack()}
+        if self.info.path.endswith(".jpg") and not frames.intersection(FEW):
+            found.append(self.info.path)
+        return read(self, *args, **options)
+
+    monkeypatch.setattr(Source, "read", noted)
+    return found
+
+
+MOSAICS = {
+    "matched histograms, graph cuts, multiband blending, all rasters beside": (
+        {
+            "histogram": "overlap", "stretch": "2,98", "seams": "graph-cut", "blend": "multiband",
+            "views": True, "displacement": 100.0, "accuracy": True, "sigma_dem": 1.0, "sigma_px": 0.3,
+        },
+        {
+            "ThumbnailOfImage": 4, "image_terms": 2, "RenderedUnits": 2, "facts_of_image": 2, "LabelledUnits": 4,
+            "AccuracyUnits": 1,
+        },
+    ),
+    "balance, outlines of valid pixels, seam quality": (
+        {"src_nodata": 0.0, "seam_quality": True, "colour": "gain,vignetting"},
+        {
+            "SamplesOfImage": 2, "correction_field": 2, "valid_outline": 2, "RenderedUnits": 2, "facts_of_image": 2,
+            "measured": 1,
+        },
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", MOSAICS)
+def test_every_step_of_a_mosaic_has_workers_compute_its_units(what, run, tmp_path, read_here) -> None:
+    """The client reads no photo."""
+    options, expected = MOSAICS[what]
+    options = dict(options)
+    block = replace(BLOCK, src_nodata=options.pop("src_nodata", None))
+    for name in ("one", "many"):
+        (tmp_path / name).mkdir()
+    gm.mosaic(block, tmp_path / "one" / "m.tif", **PLACE, **options, threads=1)
+    before = units(run)
+    read_here.clear()
+    gm.mosaic(block, tmp_path / "many" / "m.tif", **PLACE, **options, threads=1, workers=WORKERS)
+    assert files(tmp_path / "many") == files(tmp_path / "one")
+    assert dict(units(run) - before) == expected
+    assert not read_here
+
+
+# Modules with threads of their own, and why these do not go to workers.
+OWN_THREADS = {
+    "execution/units.py": "the one loop",
+    "inputs/orientation_plausibility.py": "looks at eight photos of any block",
+    "kernels/threads.py": "parts of one array",
+    "mosaicking/mosaic.py": "one thread for checksum and drivers while the mosaic is finished",
+    "project/folders.py": "headers of files for a draft",
+    "raster/cog/writer.py": "overviews of the file that the client writes",
+    "studio/app.py": "pictures for a browser",
+    "sheets/series/make.py": "not yet",
+    "testing/conformance.py": "a test of threads",
+    "testing/synthetic/photo.py": "photos for tests",
+    "testing/synthetic/scenery.py": "photos for tests",
+    "tie_points/stages.py": "not yet",
+}
+
+
+def test_no_step_has_threads_or_processes_of_its_own() -> None:
+    root = Path(gm.__file__).parent
+    own = re.compile(r"\b(map_in_order|ThreadPoolExecutor|ProcessPoolExecutor)\(")
+    found = {path.relative_to(root).as_posix() for path in root.rglob("*.py") if own.search(path.read_text("utf-8"))}
+    assert found == set(OWN_THREADS)
