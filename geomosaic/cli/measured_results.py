@@ -66,10 +66,6 @@ def check_text(found: MapCheck) -> str:
     Parameters
     ----------
     found : MapCheck
-
-    Returns
-    -------
-    str
     """
     import numpy as np
 
@@ -101,10 +97,6 @@ def georeference_text(made: Georeferenced | GeoreferencedVectors) -> str:
     Parameters
     ----------
     made : Georeferenced or GeoreferencedVectors
-
-    Returns
-    -------
-    str
     """
     from geomosaic.cli.results import ortho_text
     from geomosaic.georeferencing.run import Georeferenced
@@ -211,10 +203,6 @@ def located_text(found: Located, output: Path | None) -> str:
     found : Located
     output : Path or None
         File that was written, if any.
-
-    Returns
-    -------
-    str
     """
     from geomosaic.inputs.frames import frame_description
 
@@ -274,10 +262,6 @@ def drawn_text(drawn: DrawnVectors, output: Path) -> str:
     ----------
     drawn : Drawn
     output : Path
-
-    Returns
-    -------
-    str
     """
     hidden = f", {drawn.hidden} of them hidden" if drawn.hidden else ""
     return f"{output}: {drawn.drawn} of {drawn.features} features in the photo, {drawn.pieces} pieces{hidden}"

@@ -57,10 +57,6 @@ def stack(*decorators: Callable[[Any], Any], group: str = "") -> Callable[[Funct
         As of `click.option`.
     group : str
         Heading in the help, one of `GROUPS`, of options that have none yet.
-
-    Returns
-    -------
-    callable
     """
 
     def apply(function: Function) -> Function:
@@ -98,10 +94,6 @@ def options_of(
         Names that the command does not have.
     only : collection of str
         Names that it has alone; all unless given.
-
-    Returns
-    -------
-    callable
     """
     own = [one for one in declared(kind) if one.flag and one.name not in without and (not only or one.name in only)]
 
@@ -269,10 +261,6 @@ def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:
     images : tuple of Path
     given : mapping
         Inputs by name, of `Block` and its planar placement.
-
-    Returns
-    -------
-    Block
 
     Raises
     ------

@@ -41,10 +41,6 @@ def translated(text: str, command: str | None = None) -> str:
         Parameters stand in backticks.
     command : str, optional
         Name of a command; the one that is running unless given.
-
-    Returns
-    -------
-    str
     """
     if "`" not in text:
         return text
@@ -165,10 +161,6 @@ def failed(error: Exception, *, as_json: bool, debug: bool, command: str = "") -
         Show the traceback.
     command : str
         Name of the command that ran; its parameters are named by their flags.
-
-    Returns
-    -------
-    int
     """
     if isinstance(error, click.ClickException):
         if as_json:

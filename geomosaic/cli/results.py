@@ -80,10 +80,6 @@ def ortho_text(result: OrthoResult) -> str:
     Parameters
     ----------
     result : OrthoResult
-
-    Returns
-    -------
-    str
     """
     return "\n".join(
         [
@@ -245,10 +241,6 @@ def mosaic_text(result: MosaicResult) -> str:
     Parameters
     ----------
     result : MosaicResult
-
-    Returns
-    -------
-    str
     """
     from geomosaic.errors import counted
     from geomosaic.mosaicking.colour.corrections import term_notes
@@ -290,10 +282,6 @@ def size_text(grid: Grid) -> str:
     Parameters
     ----------
     grid : Grid
-
-    Returns
-    -------
-    str
     """
     from geomosaic.geo.crs import crs_name
 
@@ -319,10 +307,6 @@ def status_text(states: Sequence[State]) -> str:
     Parameters
     ----------
     states : sequence of State
-
-    Returns
-    -------
-    str
     """
     width = max(len(state.name) for state in states)
     lines = []
@@ -339,10 +323,6 @@ def outcome_text(done: Outcome) -> str:
     Parameters
     ----------
     done : Outcome
-
-    Returns
-    -------
-    str
     """
     width = max(len(state.name) for state in done.states)
     lines = [f"{s.name:<{width}}  {'fresh' if s.fresh else f'{s.seconds:.1f} s ({s.reason})'}" for s in done.states]
@@ -392,10 +372,6 @@ def accuracy_lines(facts: Mapping[str, Any]) -> list[str]:
     ----------
     facts : mapping
         Of the steps by name, see `Outcome.facts`.
-
-    Returns
-    -------
-    list of str
     """
     lines = []
     matched, orient, made, check = (facts.get(name) for name in ("match", "orient", "mosaic", "check"))

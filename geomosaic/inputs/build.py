@@ -44,10 +44,6 @@ def build_block(inputs: Block, *, ground: bool = True, dem_memory: int = DEM_MEM
     dem_memory : int
         Bytes that its DEM may hold between reads.
 
-    Returns
-    -------
-    OrientedBlock
-
     Raises
     ------
     InputError
@@ -429,10 +425,6 @@ def is_adjusted(inputs: Block) -> bool:
     Parameters
     ----------
     inputs : Block
-
-    Returns
-    -------
-    bool
     """
     power, placed = capabilities(inputs.sensor), {"points", "orientation"} & set(inputs.options)
     if inputs.control is None or (power.control is ControlUse.RESECTION and (placed or inputs.exterior is not None)):

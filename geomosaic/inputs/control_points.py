@@ -434,10 +434,6 @@ def images_not_of_the_block(others: Mapping[str, int], names: Iterable[str]) -> 
         Number of rows of each.
     names : iterable of str
         Images of the block.
-
-    Returns
-    -------
-    str
     """
     known = [stem(name) for name in names]
     # Of one name among those of the block it is a slip; several are photos that are not there.

@@ -346,10 +346,6 @@ def as_block(images: Block | Sequence[PathLike] | PathLike) -> Block:
     ----------
     images : Block, sequence of path or path
         Images given by paths lie as their files say.
-
-    Returns
-    -------
-    Block
     """
     return images if isinstance(images, Block) else Block(image_paths(images))
 
@@ -390,10 +386,6 @@ def on_ground(block: Block, dem: PathLike | Dem | float | None, dem_heights: str
         DEM, or one height in metres; the block's own ground unless given.
     dem_heights : str or None
         Vertical datum of the heights, where they do not say it.
-
-    Returns
-    -------
-    Block
     """
     if dem is None:
         return block if dem_heights is None else replace(block, dem_heights=dem_heights)
@@ -430,10 +422,6 @@ def leave_out(images: Sequence[Path], roles: Mapping[str, Path | None]) -> tuple
         The only image is always kept.
     roles : mapping of str to Path
         Files by the input that names them; None where it is not given.
-
-    Returns
-    -------
-    tuple of Path
     """
     # Patterns such as `*.tif` match a DEM, a reference or an output in the folder of the images, too.
     if len(images) < 2:

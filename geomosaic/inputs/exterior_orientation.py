@@ -277,10 +277,6 @@ def undeclared_reconstruction(path: PathLike | ExteriorTable | None, system: str
         Orientation input.
     system : str
         Angle system as declared.
-
-    Returns
-    -------
-    bool
     """
     # OpenSfM's and OpenDroneMap's files look the same inside, and count from different origins.
     return (
@@ -303,10 +299,6 @@ def read_exterior(path: PathLike, system: str, unit: str | None = None) -> Exter
         Angle system, one of `SYSTEMS`.
     unit : str, optional
         Unit of the angles and their standard deviations; degrees unless given.
-
-    Returns
-    -------
-    ExteriorTable
 
     Raises
     ------
@@ -399,10 +391,6 @@ def orientation_table(path: PathLike, system: str = "opk") -> Table:
     path : path-like
     system : str
         Angle system whose columns an error names, and which a file without a header must have.
-
-    Returns
-    -------
-    Table
     """
     columns = ("image", "x", "y", "z", *SYSTEMS[system])
     headless = columns if Path(path).name == HEADLESS and system == "opk" else ()

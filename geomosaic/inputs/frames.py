@@ -23,10 +23,6 @@ def with_declared_heights(crs: CRS, heights: str | None, where: str | None = Non
     where : str, optional
         Input, for the message.
 
-    Returns
-    -------
-    CRS
-
     Raises
     ------
     HeightDatumError
@@ -46,10 +42,6 @@ def positions_crs(crs: str, heights: str | None, where: str | None = None) -> CR
         Declared vertical datum, see `geomosaic.sensor.plausibility.DATUMS`.
     where : str, optional
         Input, for the message.
-
-    Returns
-    -------
-    CRS
 
     Raises
     ------

@@ -49,10 +49,6 @@ def build_surface(
     memory : int
         Bytes that a DEM may hold between reads.
 
-    Returns
-    -------
-    Surface or None
-
     Raises
     ------
     InputError

@@ -126,10 +126,6 @@ def with_declared(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[Orien
     inputs : Block
     scenes : sequence of OrientedImage
 
-    Returns
-    -------
-    tuple of OrientedImage
-
     Raises
     ------
     InputError
@@ -156,10 +152,6 @@ def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[Oriente
     ----------
     inputs : Block
     scenes : sequence of OrientedImage
-
-    Returns
-    -------
-    tuple of OrientedImage
 
     Raises
     ------

@@ -161,10 +161,6 @@ def with_covariances(
     adjusted : sequence of AdjustedImage, optional
         Those of the block, where they are known already.
 
-    Returns
-    -------
-    OrientedBlock
-
     Raises
     ------
     InputError

@@ -43,10 +43,6 @@ def read_listing(path: Path, how: ListingLayout, unit: str | None, direction: st
     direction : str or None
         'ground_to_image' or 'image_to_ground'; required with a printed matrix.
 
-    Returns
-    -------
-    ExteriorTable
-
     Raises
     ------
     InputError

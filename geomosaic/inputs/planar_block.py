@@ -175,10 +175,6 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
     tables : str
         Source of the points, for messages about wrong ones.
 
-    Returns
-    -------
-    Placed
-
     Raises
     ------
     InputError

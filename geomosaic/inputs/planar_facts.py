@@ -31,10 +31,6 @@ def joint_facts(solution: PlanarSolution, kind: str) -> dict[str, Any]:
     solution : PlanarSolution
     kind : str
         Kind of mosaic.
-
-    Returns
-    -------
-    dict
     """
     return {
         "kind": kind,
@@ -57,10 +53,6 @@ def single_facts(block: PlanarBlock, solutions: Mapping[str, PlanarSolution], mo
         Solutions by photo.
     model : str
         Kind of transformation.
-
-    Returns
-    -------
-    dict
     """
     transforms = {name: solution.transforms[name] for name, solution in solutions.items()}
     return {
@@ -86,10 +78,6 @@ def chain_facts(block: PlanarBlock, made: Chain, model: str, error: Accumulated)
         Kind of transformation.
     error : Accumulated
         Errors against the simultaneous adjustment.
-
-    Returns
-    -------
-    dict
     """
     return {
         "kind": "uncontrolled",
@@ -122,10 +110,6 @@ def growth_facts(grown: Growth, model: str, together: PlanarSolution | None) -> 
         Kind of transformation.
     together : PlanarSolution or None
         Simultaneous adjustment, whose expected errors those of growing are not below; None where it is not determined.
-
-    Returns
-    -------
-    dict
     """
     return {
         "kind": "grown",

@@ -133,10 +133,6 @@ def takes_positions(inputs: Block, power: Capabilities) -> bool:
     inputs : Block
     power : Capabilities
         Of its sensor.
-
-    Returns
-    -------
-    bool
     """
     given = [{*inputs.options, *inputs.image_options.get(path.name, {})} for path in inputs.images]
     placed = bool(given) and not any(names.isdisjoint(power.placements) for names in given)
@@ -149,10 +145,6 @@ def known_capabilities(sensor: str) -> Capabilities:
     Parameters
     ----------
     sensor : str
-
-    Returns
-    -------
-    Capabilities
     """
     try:
         return capabilities(sensor)
@@ -318,10 +310,6 @@ def control_discrepancies(inputs: Block, block: OrientedBlock) -> list[ControlDi
     inputs : Block
     block : OrientedBlock
         Block built of them, adjusted on the control as far as its sensor does that.
-
-    Returns
-    -------
-    list of ControlDiscrepancy
     """
     if block.crs is None or inputs.planar is not None or capabilities(inputs.sensor).planar:
         return []

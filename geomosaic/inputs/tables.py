@@ -123,10 +123,6 @@ def read_table(path: PathLike, what: str, example: str, columns_without_header: 
     columns_without_header : sequence of str
         Columns of a format that has no header.
 
-    Returns
-    -------
-    Table
-
     Raises
     ------
     InputError
@@ -379,10 +375,6 @@ def stem(name: str) -> str:
     Parameters
     ----------
     name : str
-
-    Returns
-    -------
-    str
     """
     # Only what looks like an extension is cut: 'IMG_0.5' keeps its '.5'.
     last = PurePath(name.replace("\\", "/")).name
@@ -397,10 +389,6 @@ def file_name(name: str) -> str:
     ----------
     name : str
         Slashes may be of either kind.
-
-    Returns
-    -------
-    str
     """
     # File systems of Macs separate letters from their accents (form D), tables do not.
     return unicodedata.normalize("NFC", PurePath(name.replace("\\", "/")).name)
@@ -414,10 +402,6 @@ def file_of_image(pattern: str, image: str) -> Path:
     pattern : str
         Path in which '{image}' is replaced by the image's name without folder and extension.
     image : str
-
-    Returns
-    -------
-    Path
     """
     return Path(pattern.replace("{image}", stem(image)))
 
@@ -431,10 +415,6 @@ def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
         Entries by image name as written.
     image : str
         Name or path.
-
-    Returns
-    -------
-    object or None
     """
     last = file_name(image)
     for key, value in rows.items():

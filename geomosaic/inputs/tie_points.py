@@ -102,10 +102,6 @@ class TiePoints:
         Parameters
         ----------
         path : path-like
-
-        Returns
-        -------
-        Path
         """
         known = accuracy_columns(np.asarray(self.sigma), self.covariance)
         lines = [",".join((*COLUMNS, *known))]
@@ -181,10 +177,6 @@ def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None
         sigma_row and correlation; or what `read_reconstruction` reads.
     sizes : mapping of str to (int, int), optional
         Width and height of each image by its name, which not every program's files tell.
-
-    Returns
-    -------
-    TiePoints
 
     Raises
     ------

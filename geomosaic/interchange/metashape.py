@@ -246,10 +246,6 @@ def world_of(found: Reconstruction, tables: Tables) -> Reconstruction:
         As its cameras were read.
     tables : Tables
         Rows of the images, of which each has the WKT of the chunk as its `world`.
-
-    Returns
-    -------
-    Reconstruction
     """
     text = next((str(row["world"]) for _, row in tables.values()), "")
     if text.lstrip().upper().startswith(LOCAL) or not text:

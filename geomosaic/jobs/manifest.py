@@ -276,10 +276,6 @@ def read_json(path: Path) -> Any:
     ----------
     path : Path
 
-    Returns
-    -------
-    object
-
     Raises
     ------
     OSError, ValueError

@@ -54,10 +54,6 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     project : Project
     machine : Machine, optional
         Threads and memory; they change no result and are no part of what makes a step stale.
-
-    Returns
-    -------
-    Job
     """
     machine = machine or Machine()
     layout, settings, blocks = Layout(project), project.settings, project.blocks
@@ -385,9 +381,5 @@ def status_of(project: Project) -> list[State]:
     Parameters
     ----------
     project : Project
-
-    Returns
-    -------
-    list of State
     """
     return engine.status(job_of(project))

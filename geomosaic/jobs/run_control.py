@@ -174,10 +174,6 @@ def read_by(job: Job) -> list[Path]:
     Parameters
     ----------
     job : Job
-
-    Returns
-    -------
-    list of Path
     """
     # Journals of outputs count too: while one holds anything, its file is not replaced.
     written = dict.fromkeys(path for step in job.steps for path in step.outputs)

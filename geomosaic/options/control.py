@@ -25,10 +25,6 @@ def parse_place(value: Any) -> tuple[float, float]:
     ----------
     value : sequence of float
 
-    Returns
-    -------
-    tuple of float
-
     Raises
     ------
     InputError

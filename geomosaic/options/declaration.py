@@ -171,10 +171,6 @@ def declared(kind: type) -> tuple[Declared, ...]:
     ----------
     kind : type
         Options class.
-
-    Returns
-    -------
-    tuple of Declared
     """
     return _declared(kind)
 
@@ -200,10 +196,6 @@ def is_part(kind: Any) -> bool:
     Parameters
     ----------
     kind : type
-
-    Returns
-    -------
-    bool
     """
     return isinstance(kind, type) and is_dataclass(kind) and any("option" in item.metadata for item in fields(kind))
 
@@ -274,10 +266,6 @@ def paths_of(value: Any, stages: Collection[str] = STAGES) -> tuple[Path, ...]:
     value : options value
     stages : collection of str
         Options of these stages only; see `STAGES`.
-
-    Returns
-    -------
-    tuple of Path
     """
     found: list[Path] = []
     for one, given in flat_values(value):
@@ -296,10 +284,6 @@ def stage_values(value: Any, stage: str) -> dict[str, Any]:
     value : options value
     stage : str
         One of `STAGES`.
-
-    Returns
-    -------
-    dict of str to str
     """
     named = ((one, given) for one, given in flat_values(value) if one.option.stage == stage)
     return {one.name: repr(given) for one, given in named if not (one.kind is Path or one.kind == tuple[Path, ...])}
@@ -347,10 +331,6 @@ def named_only(kind: type[T]) -> type[T]:
     ----------
     kind : type
         Decorated; its signature stays as it is.
-
-    Returns
-    -------
-    type
     """
     # From Python 3.13 on its own error proposes the keyword that was meant, and this is no longer needed.
     own = kind.__init__

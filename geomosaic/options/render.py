@@ -36,10 +36,6 @@ def parse_size(text: str) -> int:
     text : str
         A number with K, M, G or T, powers of 1024, or without; B and iB after it count for nothing.
 
-    Returns
-    -------
-    int
-
     Raises
     ------
     InputError

@@ -51,10 +51,6 @@ def project_text(path: Path, carried: EmbeddedInputs, read: bool) -> str:
     read : bool
         Whether the angle system was read off the orientation table.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     InputError

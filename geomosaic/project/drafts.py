@@ -137,10 +137,6 @@ def draft_project(path: Path, carried: EmbeddedInputs, angles: str | None) -> Dr
         Angle system as declared; read off the columns of the table where it is not. A reconstruction does not say
         whose it is: its system stays open unless the names of the files tell.
 
-    Returns
-    -------
-    Draft
-
     Raises
     ------
     InputError

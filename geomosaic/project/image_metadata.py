@@ -40,10 +40,6 @@ def embedded_inputs(inputs: Block, project: Path, found: SortedImages | None = N
         The project file; tables are named after it and lie beside it.
     found : SortedImages, optional
         Images of `inputs` as they were found; those of folders are sorted further where they are photos.
-
-    Returns
-    -------
-    EmbeddedInputs
     """
     found = found or SortedImages(inputs.images)
     infos = {path: inspect(path, inputs.bands) for path in found.images}

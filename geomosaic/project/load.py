@@ -247,10 +247,6 @@ def load_project(path: PathLike) -> Project:
     path : path
         TOML file.
 
-    Returns
-    -------
-    Project
-
     Raises
     ------
     InputError
@@ -332,10 +328,6 @@ def is_pattern(name: str) -> bool:
     Parameters
     ----------
     name : str
-
-    Returns
-    -------
-    bool
     """
     return any(mark in name for mark in "*?[")
 

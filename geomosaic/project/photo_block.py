@@ -124,10 +124,6 @@ def tied_photos(inputs: Block, photos: Sequence[TaggedPhoto], project: Path) -> 
         Two or more, those of `inputs`.
     project : Path
         Tables are named after it and lie beside it.
-
-    Returns
-    -------
-    EmbeddedInputs
     """
     remarks, said = _Remarks(), dict[str, str]()
     photos, aside = _of_one_place(photos, remarks)
@@ -471,10 +467,6 @@ def position_table(photos: Sequence[tuple[Path, PhotoFacts]], crs: str, angles: 
         'dji', or 'none' for positions alone.
     missing : float
         Altitude where a position has none; NaN leaves the whole position empty.
-
-    Returns
-    -------
-    str
     """
     places = np.array([facts.position or (math.nan,) * 3 for _, facts in photos])
     places[:, 2] = np.where(np.isnan(places[:, 2]), missing, places[:, 2])

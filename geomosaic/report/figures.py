@@ -131,10 +131,6 @@ def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) 
         Left, bottom, right, top of the raster in its CRS.
     unit : str
         Of that CRS, for the scale bar.
-
-    Returns
-    -------
-    MosaicMap
     """
     rgb, valid = preview(mosaic, LONGEST)
     height, width = valid.shape
@@ -181,10 +177,6 @@ def residual_plot(
         Width and height of the images.
     measured : mapping
         'id image' to measured (col, row).
-
-    Returns
-    -------
-    ResidualPlot
     """
     known = [p for p in points if p["col"] is not None and f"{p['id']} {p['image']}" in measured]
     width = 400.0
@@ -249,10 +241,6 @@ def data_uri(picture: bytes, kind: str = "image/png") -> str:
         Encoded image.
     kind : str
         Its media type.
-
-    Returns
-    -------
-    str
     """
     return f"data:{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 

@@ -26,10 +26,6 @@ def decimals(scale: float | None, least: int = 0) -> int:
         Typical size of the values.
     least : int
         Smallest number of decimals; also where the size is not known.
-
-    Returns
-    -------
-    int
     """
     if scale is None or not math.isfinite(scale) or scale <= 0:
         return least
@@ -109,10 +105,6 @@ def share(part: float, whole: float) -> str:
     ----------
     part, whole : float
         `whole` is not 0.
-
-    Returns
-    -------
-    str
     """
     return f"{100 * part / whole:.1f} %"
 

@@ -208,12 +208,7 @@ class Layout:
     layer: tuple[LayerPart, ...] = ()
 
     def position_of(self, element: str) -> tuple[float, float] | None:
-        """Position of an element by its name in `ELEMENTS`; None where it stands in its usual place.
-
-        Parameters
-        ----------
-        element : str
-        """
+        """Position of an element by its name in `ELEMENTS`; None where it stands in its usual place."""
         found: tuple[float, float] | None = getattr(getattr(self, ELEMENTS[element].table), ELEMENTS[element].key)
         return found
 

@@ -49,10 +49,6 @@ def pictogram(shape: str) -> tuple[PaintedOutline, ...]:
     shape : str
         Name of the own set, or path of an SVG file.
 
-    Returns
-    -------
-    tuple of PaintedOutline
-
     Raises
     ------
     InputError

@@ -78,10 +78,6 @@ def read_svg(text: str, where: str) -> tuple[PaintedOutline, ...]:
     where : str
         File, named in errors.
 
-    Returns
-    -------
-    tuple of PaintedOutline
-
     Raises
     ------
     InputError

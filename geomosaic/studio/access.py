@@ -99,10 +99,6 @@ class Access:
         ----------
         cookies : str
             Value of the header `Cookie`.
-
-        Returns
-        -------
-        bool
         """
         try:
             found = SimpleCookie(cookies).get(self.cookie)

@@ -68,10 +68,6 @@ def studio_app(studio: Studio, access: Access, routes: Sequence[Route] = ()) -> 
     access : Access
     routes : sequence of Route
         Further routes, such as those of control.
-
-    Returns
-    -------
-    GuardedApplication
     """
     workspace, page = studio.workspace, _page()
 
@@ -150,10 +146,6 @@ def answer(values: Any, status: int = 200) -> Response:
     ----------
     values : dict, list, str, int, float, bool or None
     status : int
-
-    Returns
-    -------
-    Response
     """
     return JSONResponse(plain(values), status)
 
@@ -200,10 +192,6 @@ async def body_of(request: Request) -> dict[str, Any]:
     Parameters
     ----------
     request : Request
-
-    Returns
-    -------
-    dict
 
     Raises
     ------

@@ -93,10 +93,6 @@ class History:
     def make(self, edit: Edit) -> None:
         """Make an edit; what was taken back before it is forgotten.
 
-        Parameters
-        ----------
-        edit : Edit
-
         Raises
         ------
         InputError, OutputError

@@ -69,10 +69,6 @@ class RasterTiles:
     def facts(self, layer: str) -> dict[str, Any]:
         """Size, levels, georeference and stretch of a layer.
 
-        Parameters
-        ----------
-        layer : str
-
         Returns
         -------
         dict
@@ -195,10 +191,6 @@ def webp(grey: ByteArray, valid: ByteArray | None) -> bytes:
         One band or three.
     valid : uint8 array (rows, cols), optional
         None where all are valid.
-
-    Returns
-    -------
-    bytes
     """
     from PIL import Image
 

@@ -114,12 +114,7 @@ class Runs:
         self._report()
 
     async def follow(self, steps: Sequence[str]) -> None:
-        """Start a run of what is stale among steps, after the one that is under way.
-
-        Parameters
-        ----------
-        steps : sequence of str
-        """
+        """Start a run of what is stale among steps, after the one that is under way."""
         if self.running:
             self._following = tuple(steps)
         else:

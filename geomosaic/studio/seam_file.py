@@ -79,10 +79,6 @@ class SeamFile:
     def of(cls, project: Project) -> SeamFile:
         """File of a project whose mosaic has seams.
 
-        Parameters
-        ----------
-        project : Project
-
         Raises
         ------
         InputError
@@ -122,10 +118,6 @@ class SeamFile:
 
     def number(self, name: object) -> int:
         """Number of an image that may get ground.
-
-        Parameters
-        ----------
-        name : object
 
         Raises
         ------

@@ -119,10 +119,6 @@ class SeamDesk:
     def give(self, values: Mapping[str, Any]) -> None:
         """Give an `area` to an `image`.
 
-        Parameters
-        ----------
-        values : mapping
-
         Raises
         ------
         InputError
@@ -137,33 +133,18 @@ class SeamDesk:
         self._save(f"area given to {name}", act)
 
     def redraw(self, values: Mapping[str, Any]) -> None:
-        """Lay seams along a `line` that begins on one and ends on the same or another.
-
-        Parameters
-        ----------
-        values : mapping
-        """
+        """Lay seams along a `line` that begins on one and ends on the same or another."""
         line = _line(values)
         self._save("seam redrawn", lambda file: redrawn(file.shares, line, file.step))
 
     def drag(self, values: Mapping[str, Any]) -> None:
-        """Drag a seam from a `place` `to` another, with as much of it as is within `reach` map units.
-
-        Parameters
-        ----------
-        values : mapping
-        """
+        """Drag a seam from a `place` `to` another, with as much of it as is within `reach` map units."""
         place, to = _places(values, "place", 1)[0], _places(values, "to", 1)[0]
         reach = _number(values, "reach", 1e-9)
         self._save("seam moved", lambda file: dragged(file.shares, place, to, reach, file.step))
 
     def retouch(self, values: Mapping[str, Any]) -> None:
-        """Set `gain` and `offset` of one `image` in the project file; 1 and 0 take them out.
-
-        Parameters
-        ----------
-        values : mapping
-        """
+        """Set `gain` and `offset` of one `image` in the project file; 1 and 0 take them out."""
         gain, offset = _number(values, "gain", 1e-6), _number(values, "offset", -_LARGEST)
         with self._workspace.history.lock:
             file = self._file()

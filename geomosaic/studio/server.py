@@ -69,10 +69,6 @@ def routes_of(studio: Studio) -> list[Route]:
     Parameters
     ----------
     studio : Studio
-
-    Returns
-    -------
-    list of Route
     """
     workspace = studio.workspace
     features = FeatureDesk(workspace)

@@ -31,10 +31,6 @@ def with_value(text: str, table: Sequence[str], key: str, value: Value | None) -
     value : str, float, sequence of str or None
         None takes the key out, and its table with it where that is empty then and more than a section.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     InputError

@@ -83,12 +83,7 @@ class Workspace:
         return () if project is None else tuple(_layers(project))
 
     def raster(self, layer: str) -> Path | None:
-        """Path of a layer by its id; None where there is none.
-
-        Parameters
-        ----------
-        layer : str
-        """
+        """Path of a layer by its id; None where there is none."""
         return next((one.path for one in self.layers() if one.id == layer), None)
 
     def describe(self) -> dict[str, Any]:

@@ -91,10 +91,6 @@ def _text(made: SheetResult) -> str:
     Parameters
     ----------
     made : SheetResult
-
-    Returns
-    -------
-    str
     """
     from geomosaic.errors import counted
 

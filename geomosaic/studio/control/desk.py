@@ -62,10 +62,6 @@ class ControlDesk:
             Left, top, right and bottom of the part of the image that the fit uses, pixels.
         other : str, optional
             Georeferenced layer by its id, on whose map the points are told too.
-
-        Returns
-        -------
-        dict
         """
         started = time.perf_counter()
         station, rows, live = self._live(layer, model, area)

@@ -88,12 +88,7 @@ class TableEdits:
             self._save(_edit_title(name, fields), station, text, table.with_row(row.line, fields))
 
     def remove(self, layer: str, name: str) -> None:
-        """Take a point out of the image's table.
-
-        Parameters
-        ----------
-        layer, name : str
-        """
+        """Take a point out of the image's table."""
         station = self._stations.find(layer)
         with self._workspace.history.lock:
             text = text_of(station.table)

@@ -26,10 +26,6 @@ def mark_centre(station: Station, col: float, row: float, half: int) -> dict[str
     half : int
         Half of the mark's width, pixels.
 
-    Returns
-    -------
-    dict
-
     Raises
     ------
     InputError
@@ -74,10 +70,6 @@ def reference_match(station: Station, model: SensorModel, other: Path, at: tuple
         Georeferenced raster.
     at : (float, float)
         Column and row in it.
-
-    Returns
-    -------
-    dict
 
     Raises
     ------

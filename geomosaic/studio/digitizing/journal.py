@@ -72,13 +72,6 @@ class FeatureJournal:
     def begin(self, title: str, path: Path, layer: str, changes: tuple[FeatureChange, ...]) -> PendingEdit:
         """Keep an edit until `end`.
 
-        Parameters
-        ----------
-        title : str
-        path : Path
-        layer : str
-        changes : tuple of FeatureChange
-
         Raises
         ------
         OutputError
@@ -91,25 +84,14 @@ class FeatureJournal:
         return edit
 
     def change(self, edit: PendingEdit, changes: tuple[FeatureChange, ...]) -> PendingEdit:
-        """Keep other changes in place of an edit's.
-
-        Parameters
-        ----------
-        edit : PendingEdit
-        changes : tuple of FeatureChange
-        """
+        """Keep other changes in place of an edit's."""
         other = replace(edit, changes=changes)
         self._append(_edit_line(other))
         self.pending[self.pending.index(edit)] = other
         return other
 
     def end(self, edit: PendingEdit) -> None:
-        """Let go of an edit that is in its GeoPackage, or is given up.
-
-        Parameters
-        ----------
-        edit : PendingEdit
-        """
+        """Let go of an edit that is in its GeoPackage, or is given up."""
         self.pending.remove(edit)
         self._shorten({"ended": edit.number})
 

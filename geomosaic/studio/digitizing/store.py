@@ -66,24 +66,12 @@ class FeatureStore:
         ]  # fmt: skip
 
     def sketch(self, page: str, drawn: dict[str, Any] | None) -> None:
-        """Keep what a page is drawing.
-
-        Parameters
-        ----------
-        page : str
-        drawn : dict or None
-        """
+        """Keep what a page is drawing."""
         with self._lock:
             self._journal.sketch(page, drawn)
 
     def table(self, path: Path, layer: str) -> FeatureTable:
-        """Layer with the edits that wait.
-
-        Parameters
-        ----------
-        path : Path
-        layer : str
-        """
+        """Layer with the edits that wait."""
         with self._lock:
             table = read_features(path, layer, MOST)
             features = dict(table.features)
@@ -96,14 +84,7 @@ class FeatureStore:
             return replace(table, features=features)
 
     def free_ids(self, path: Path, layer: str, count: int) -> list[int]:
-        """Row numbers for new features.
-
-        Parameters
-        ----------
-        path : Path
-        layer : str
-        count : int
-        """
+        """Row numbers for new features."""
         with self._lock:
             waiting = [
                 change.id
@@ -116,13 +97,6 @@ class FeatureStore:
 
     def save(self, title: str, path: Path, layer: str, changes: Sequence[FeatureChange]) -> None:
         """Save an edit: in the journal, and in the GeoPackage unless that cannot be written now.
-
-        Parameters
-        ----------
-        title : str
-        path : Path
-        layer : str
-        changes : sequence of FeatureChange
 
         Raises
         ------

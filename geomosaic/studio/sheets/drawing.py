@@ -111,12 +111,7 @@ class Previews:
             return self._kept[key][0]
 
     def picture(self, key: str) -> bytes | None:
-        """PNG of a preview; None where it is not kept any longer.
-
-        Parameters
-        ----------
-        key : str
-        """
+        """PNG of a preview; None where it is not kept any longer."""
         return self._kept[key][1] if key in self._kept else None
 
     async def end(self) -> None:
