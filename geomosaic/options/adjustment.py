@@ -44,16 +44,8 @@ def _parse_vector(value: Any) -> tuple[float, ...]:
 
 
 # Projects and the library have these options, and no command a flag for them.
-_ADJUST: dict[str, Any] = {"flag": None, "section": "adjust", "group": "input"}
-
-
-def _setting(default: Any, text: str, **declared: Any) -> Any:
-    """Option of [adjust]."""
-    return option(default, text, **_ADJUST, **declared)
-
-
 @dataclass(frozen=True)
-class AdjustmentOptions(SelfContainedOptions):
+class AdjustmentOptions(SelfContainedOptions, group="input", section="adjust", flag=None):
     """Options of `adjust`.
 
     Attributes
@@ -99,61 +91,59 @@ class AdjustmentOptions(SelfContainedOptions):
         None,
         "Tie points: id, image, col, row, and sigma_px where it is known (or sigma_col, sigma_row, correlation); "
         "or files of another program.",
-        **_ADJUST,
-    )
-    sigma_px: float = _setting(0.5, "Standard deviation of image positions, where their table says none.", above=0.0)
-    sigma_xy: float = _setting(
+    )  # fmt: skip
+    sigma_px: float = option(0.5, "Standard deviation of image positions, where their table says none.", above=0.0)
+    sigma_xy: float = option(
         0.02, "Standard deviation in plan of control points, metres, where their table says none.", above=0.0
     )
-    sigma_z: float = _setting(
+    sigma_z: float = option(
         0.03, "Standard deviation in height of control points, metres, where their table says none.", above=0.0
     )
-    position_sigma: float | None = _setting(
+    position_sigma: float | None = option(
         None, "Standard deviation of camera positions, metres, where their table says none.", above=0.0,
         shown="first values only",
     )  # fmt: skip
-    attitude_sigma: float | None = _setting(
+    attitude_sigma: float | None = option(
         None, "Standard deviation of camera angles, degrees, where their table says none.", above=0.0,
         shown="first values only",
     )  # fmt: skip
-    lever_arm: tuple[float, float, float] | None = _setting(
+    lever_arm: tuple[float, float, float] | None = option(
         None, "From the projection centre to the antenna: right, down and forward in the camera, metres.",
         parse=_parse_vector, shown="none",
     )  # fmt: skip
-    drift: str | None = _setting(
+    drift: str | None = option(
         None, "Error that the camera positions of a strip share.", choices=("offset", "linear"), shown="none"
     )
     strips: Path | None = option(
         None, "Strip of each image: image, strip, and time where it is known.", shown="all images are one strip",
-        needs=("drift",), **_ADJUST,
+        needs=("drift",),
     )  # fmt: skip
-    boresight: bool = _setting(False, "Estimate a rotation that all camera angles share.")
-    dem_sigma: float | None = _setting(
+    boresight: bool = option(False, "Estimate a rotation that all camera angles share.")
+    dem_sigma: float | None = option(
         None, "Standard deviation of the DEM, metres, where tie points are to lie on it.", above=0.0,
         shown="the DEM takes no part",
     )  # fmt: skip
-    distances: Path | None = option(None, "Measured distances between points: from, to, length, sigma.", **_ADJUST)
+    distances: Path | None = option(None, "Measured distances between points: from, to, length, sigma.")
     lakes: Path | None = option(
-        None, "Points at one height, as the shore of a lake: id, lake, and sigma (metres) where it is known.", **_ADJUST
+        None, "Points at one height, as the shore of a lake: id, lake, and sigma (metres) where it is known."
     )
-    planes: Path | None = option(None, "Points on one plane, as a facade: id, plane, and sigma (metres).", **_ADJUST)
-    lines: Path | None = option(
-        None, "Points on one straight line, as an eaves: id, line, and sigma (metres).", **_ADJUST
-    )
+    planes: Path | None = option(None, "Points on one plane, as a facade: id, plane, and sigma (metres).")
+    lines: Path | None = option(None, "Points on one straight line, as an eaves: id, line, and sigma (metres).")
     rigs: Path | None = option(
-        None, "Images of stereo rigs: from, to, and where they are known rig, dx, dy, dz, omega, phi, kappa.", **_ADJUST
+        None, "Images of stereo rigs: from, to, and where they are known rig, dx, dy, dz, omega, phi, kappa."
     )
     interior: Mapping[str, float] = option(
-        default_factory=dict, help="Parameters of the interior orientation to estimate, such as focal_length, or "
+        default_factory=dict,
+        help="Parameters of the interior orientation to estimate, such as focal_length, or "
         "several together: principal_point, distortion, brown, ebner, gruen; with NAME=SIGMA held to their values.",
-        parse=_parse_free, shown="none", **_ADJUST,
+        parse=_parse_free, shown="none",
     )  # fmt: skip
-    self_calibration: bool = _setting(
+    self_calibration: bool = option(
         False, "Estimate further parameters of the interior orientation that the block determines."
     )
-    fixed: tuple[str, ...] = _setting((), "Images that stay where they are; '*' for all.")
-    robust: bool = _setting(True, "Leave out blunders, and name them.")
-    exports: tuple[str, ...] = _setting(
+    fixed: tuple[str, ...] = option((), "Images that stay where they are; '*' for all.")
+    robust: bool = option(True, "Leave out blunders, and name them.")
+    exports: tuple[str, ...] = option(
         (), "Programs whose files are written, too, into `exports`.", shown="none",
         choices=("colmap", "colmap-text", "opensfm", "bundler", "bal", "metashape", "pix4d", "ori", "match", "adjust"),
     )  # fmt: skip

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 from geomosaic.errors import InputError, counted, did_you_mean
@@ -29,7 +30,17 @@ NAMES: dict[Any, str] = {str: "text", float: "a number", int: "a whole number", 
 
 
 class CheckedOptions:
-    """Base of frozen options whose values are brought to their types and checked as they are made."""
+    """Base of frozen options whose values are brought to their types and checked as they are made.
+
+    What is declared with a class, such as `group="input"`, holds for each option in its body that says nothing else.
+    """
+
+    def __init_subclass__(cls, **shared: Any) -> None:
+        for item in vars(cls).values():
+            if isinstance(item, Field) and "option" in item.metadata:
+                added = {name: value for name, value in shared.items() if name not in item.metadata["declared"]}
+                option = replace(item.metadata["option"], **added)
+                item.metadata = MappingProxyType({**item.metadata, "option": option})
 
     def __post_init__(self) -> None:
         for one in declared(type(self)):

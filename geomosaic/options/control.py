@@ -59,37 +59,34 @@ def _parse_residual_limits(value: Any) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointFileOptions(CheckedOptions):
+class PointFileOptions(CheckedOptions, group="input"):
     """What a file of control or check points does not declare."""
 
     crs: str | None = option(
-        None, "CRS of the points' ground coordinates, where the file names none.", metavar="CRS", group="input",
+        None, "CRS of the points' ground coordinates, where the file names none.", metavar="CRS",
         idle_with=("reference",),
     )  # fmt: skip
     rows: str | None = option(
-        None, "Way rows count in a QGIS file of unusual sign.", choices=("up", "down"), group="input",
-        idle_with=("reference",),
-    )  # fmt: skip
+        None, "Way rows count in a QGIS file of unusual sign.", choices=("up", "down"), idle_with=("reference",)
+    )
     pixels: str | None = option(
         None, "What (0, 0) is in a table: the corner of the upper-left pixel, or its centre.",
-        choices=("corner", "centre"), shown="corner; centre for gcp_list.txt", group="input",
-        idle_with=("reference",),
+        choices=("corner", "centre"), shown="corner; centre for gcp_list.txt", idle_with=("reference",),
     )  # fmt: skip
-    without: tuple[str, ...] = option((), "Leave a point out; any number of times.", metavar="POINT", group="input")
+    without: tuple[str, ...] = option((), "Leave a point out; any number of times.", metavar="POINT")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _ControlSource:
+class _ControlSource(CheckedOptions, group="input"):
     """Control points of an image: a file, values, or what is found in a reference."""
 
     control: Path | Any | None = option(
         None, "Control points: a table, QGIS .points, gcp_list.txt, a raster or a world file.",
-        shown="those in the image, or a world file beside it", flag="--gcps", group="input",
+        shown="those in the image, or a world file beside it", flag="--gcps",
     )  # fmt: skip
     reference: Path | None = option(
-        None, "Georeferenced raster of the land, in which control points are found.", group="input",
-        idle_with=("control",),
-    )  # fmt: skip
+        None, "Georeferenced raster of the land, in which control points are found.", idle_with=("control",)
+    )
 
 
 # Fields stand in the order of help and docs: those of the last base come first.
@@ -154,7 +151,7 @@ class CheckOptions(CheckedOptions):
 
 
 @dataclass(frozen=True)
-class FitOptions(CheckedOptions):
+class FitOptions(CheckedOptions, group="input"):
     """Model of the fit and treatment of blunders.
 
     Attributes
@@ -174,26 +171,22 @@ class FitOptions(CheckedOptions):
     """
 
     model: str = option(
-        "auto", "Fit: auto takes the one of the smallest errors at points left out.", choices=("auto", *MODELS),
-        group="input",
-    )  # fmt: skip
+        "auto", "Fit: auto takes the one of the smallest errors at points left out.", choices=("auto", *MODELS)
+    )
     fit_crs: str | None = option(
-        None, "CRS in which the fit is made.",
-        metavar="CRS", shown="that of the points, where projected; else of the output", group="input",
+        None, "CRS in which the fit is made.", metavar="CRS",
+        shown="that of the points, where projected; else of the output",
     )  # fmt: skip
     threshold: float | None = option(
-        None, "Delete the worst point and fit again, until the total RMS is below.",
-        above=0.0, metavar="PIXELS", group="input",
-    )  # fmt: skip
+        None, "Delete the worst point and fit again, until the total RMS is below.", above=0.0, metavar="PIXELS"
+    )
     threshold_xy: tuple[float, float] | None = option(
         None, "Delete the worst point and fit again, until no residual is larger along columns or rows: 2, or 2,3.",
-        metavar="PIXELS", parse=_parse_residual_limits, group="input",
+        metavar="PIXELS", parse=_parse_residual_limits,
     )  # fmt: skip
-    robust: bool = option(False, "Leave out the points that data snooping and M-estimator reject.", group="input")
+    robust: bool = option(False, "Leave out the points that data snooping and M-estimator reject.")
     insist: bool = option(
-        False,
-        "Go on where points look wrong (diagnostics of severity error) or hardly hold the corners.",
-        group="input",
+        False, "Go on where points look wrong (diagnostics of severity error) or hardly hold the corners."
     )
 
     @property
@@ -203,17 +196,17 @@ class FitOptions(CheckedOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VectorOptions(SelfContainedOptions):
+class VectorOptions(SelfContainedOptions, group="input"):
     """Vectors that a fit carries to the map."""
 
     vectors: Path | None = option(
-        None, "Vectors drawn over the image, in its coordinates: written on the map beside the output.",
-        metavar="FILE", group="input",
-    )  # fmt: skip
+        None, "Vectors drawn over the image, in its coordinates: written on the map beside the output.", metavar="FILE"
+    )
     vector_rows: str | None = option(
-        None, "How the vectors count rows: down from the top, the same with a minus sign (as QGIS shows images without "
-        "georeference), or up from the bottom.",
-        choices=("down", "negative", "up"), shown="negative where all are", group="input", needs=("vectors",),
+        None,
+        "How the vectors count rows: down from the top, the same with a minus sign (as QGIS shows images without "
+        "georeference), or up from the bottom.", choices=("down", "negative", "up"), shown="negative where all are",
+        needs=("vectors",),
     )  # fmt: skip
     line_tolerance: float = option(
         0.1, "Pixels by which a line between two vertices may miss the fit: where it bends, vertices are put in.",
@@ -233,7 +226,7 @@ class GeoreferenceOptions:
 
 
 @dataclass(frozen=True)
-class RegistrationOptions(CheckedOptions):
+class RegistrationOptions(CheckedOptions, group="input"):
     """Displacement between two rasters.
 
     Attributes
@@ -245,15 +238,12 @@ class RegistrationOptions(CheckedOptions):
     """
 
     model: str = option(
-        "shift", "Displacement: one shift, an affine one, or a smooth field; a simpler one where the rasters do not "
-        "bear it.", choices=("shift", "affine", "local"), group="input",
+        "shift",
+        "Displacement: one shift, an affine one, or a smooth field; a simpler one where the rasters do not "
+        "bear it.", choices=("shift", "affine", "local"),
     )  # fmt: skip
     search: float | None = option(
-        None,
-        "Metres that the raster may lie wrong at most.",
-        above=0.0,
-        shown="30 pixels of the coarser raster",
-        group="input",
+        None, "Metres that the raster may lie wrong at most.", above=0.0, shown="30 pixels of the coarser raster"
     )
 
 
@@ -267,18 +257,17 @@ class CoregisterOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PixelOptions(OrientationSigmas):
+class PixelOptions(OrientationSigmas, group="input"):
     """Pixel coordinates of points and vectors, and the standard deviations of the image's orientation."""
 
-    layer: str | None = option(None, "Layer of the vectors.", shown="the first", group="input")
+    layer: str | None = option(None, "Layer of the vectors.", shown="the first")
     rows: str | None = option(
-        None, "How pixel coordinates count rows: down from the top, the same with a minus sign (as QGIS shows images "
-        "without georeference), or up from the bottom.",
-        choices=("down", "negative", "up"), shown="down in tables; vectors need it", group="input",
+        None,
+        "How pixel coordinates count rows: down from the top, the same with a minus sign (as QGIS shows images "
+        "without georeference), or up from the bottom.", choices=("down", "negative", "up"),
+        shown="down in tables; vectors need it",
     )  # fmt: skip
-    first_pixel: float = option(
-        0.5, "What pixel coordinates call the centre of the first pixel: 0.5, 0 or 1.", group="input"
-    )
+    first_pixel: float = option(0.5, "What pixel coordinates call the centre of the first pixel: 0.5, 0 or 1.")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -287,7 +276,7 @@ class PixelOptions(OrientationSigmas):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocateOptions(PixelOptions, InputSigmas):
+class LocateOptions(PixelOptions, InputSigmas, group="input"):
     """Options of `locate`: accuracy of pixels and heights, CRS of the places.
 
     Attributes
@@ -303,17 +292,15 @@ class LocateOptions(PixelOptions, InputSigmas):
     """
 
     step: float | None = option(
-        None, "Most pixels between vertices of digitized lines.",
-        above=0.0, metavar="PIXELS", shown="their own vertices", group="input",
+        None, "Most pixels between vertices of digitized lines.", above=0.0, metavar="PIXELS",
+        shown="their own vertices",
     )  # fmt: skip
-    dst_crs: str | None = option(None, "CRS of the places.", metavar="CRS", shown="of the ground", group="input")
-    dst_heights: str | None = option(
-        None, "Vertical datum of the places.", metavar="DATUM", shown="of the ground", group="input"
-    )
+    dst_crs: str | None = option(None, "CRS of the places.", metavar="CRS", shown="of the ground")
+    dst_heights: str | None = option(None, "Vertical datum of the places.", metavar="DATUM", shown="of the ground")
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrawOptions(PixelOptions):
+class DrawOptions(PixelOptions, group="input"):
     """Options of `draw_vectors`: the map vectors, and what the photo does not show of them.
 
     Attributes
@@ -326,8 +313,8 @@ class DrawOptions(PixelOptions):
         Keep hidden parts, marked; left out otherwise.
     """
 
-    src_crs: str | None = option(None, "CRS of map vectors, instead of what they say.", metavar="CRS", group="input")
-    mark_hidden: bool = option(False, "Keep hidden parts in the drawing, marked.", shown="left out", group="input")
+    src_crs: str | None = option(None, "CRS of map vectors, instead of what they say.", metavar="CRS")
+    mark_hidden: bool = option(False, "Keep hidden parts in the drawing, marked.", shown="left out")
 
 
 @dataclass(frozen=True)
@@ -364,17 +351,12 @@ class SearchOptions(CheckedOptions):
 
 
 @dataclass(frozen=True)
-class TieOptions(SelfContainedOptions):
+class TieOptions(SelfContainedOptions, group="input"):
     """Options of tie points that refine RPCs: their table, images that stay, standard deviation."""
 
-    ties: Path | None = option(None, "Tie points between the images: id, image, col, row.", group="input")
-    fixed: tuple[str, ...] = option(
-        (), "Image that tie points leave as it is.", metavar="IMAGE", group="input", needs=("ties",)
-    )
-    sigma_px: float = option(
-        0.5, "Standard deviation of tie points.", above=0.0, metavar="PIXELS", group="input",
-        needs=("ties",),
-    )  # fmt: skip
+    ties: Path | None = option(None, "Tie points between the images: id, image, col, row.")
+    fixed: tuple[str, ...] = option((), "Image that tie points leave as it is.", metavar="IMAGE", needs=("ties",))
+    sigma_px: float = option(0.5, "Standard deviation of tie points.", above=0.0, metavar="PIXELS", needs=("ties",))
 
 
 @dataclass(frozen=True)

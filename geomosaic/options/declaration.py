@@ -116,7 +116,7 @@ def option(default: Any = MISSING, help: str = "", *, default_factory: Any = MIS
     dataclasses.Field
     """
     shown = declared.pop("shown", "")
-    metadata = {"option": Option(help, default=shown, **declared)}
+    metadata = {"option": Option(help, default=shown, **declared), "declared": frozenset(declared)}
     if default_factory is not MISSING:
         return field(default_factory=default_factory, metadata=metadata)
     return field(default=default, metadata=metadata)

@@ -90,7 +90,7 @@ def parse_bounds(value: Any) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class ListingLayout(CheckedOptions):
+class ListingLayout(CheckedOptions, group="input"):
     """Declaration of how a printed list of orientations is to be read.
 
     Attributes
@@ -108,17 +108,17 @@ class ListingLayout(CheckedOptions):
         Lines at the beginning of the file that are none.
     """
 
-    columns: tuple[str, ...] = option(help="What stands in each place of a record.", group="input")
-    axes: str = option(help="Directions of the image's x and y in the picture, such as 'right up'.", group="input")
+    columns: tuple[str, ...] = option(help="What stands in each place of a record.")
+    axes: str = option(help="Directions of the image's x and y in the picture, such as 'right up'.")
     sequence: tuple[str, ...] = option(
-        (), "Order of the rotations, from the ground to the image.", choices=("omega", "phi", "kappa"), group="input"
+        (), "Order of the rotations, from the ground to the image.", choices=("omega", "phi", "kappa")
     )
-    lines: int = option(1, "Lines of a record.", least=1, most=20, group="input")
-    skip: int = option(0, "Lines at the top that are left out.", least=0, group="input")
+    lines: int = option(1, "Lines of a record.", least=1, most=20)
+    skip: int = option(0, "Lines at the top that are left out.", least=0)
 
 
 @dataclass(frozen=True)
-class PlanarInputs(SelfContainedOptions):
+class PlanarInputs(SelfContainedOptions, group="input", section="planar"):
     """Inputs of a planar block: photos of flat ground placed together, without a rigorous model.
 
     Attributes
@@ -143,32 +143,26 @@ class PlanarInputs(SelfContainedOptions):
 
     kind: str = option(
         help="Place photos of flat ground by tie and control points.",
-        choices=("uncontrolled", "semicontrolled", "controlled", "grown"), group="input", section="planar",
+        choices=("uncontrolled", "semicontrolled", "controlled", "grown"),
     )  # fmt: skip
     model: str | None = option(
-        None, "Plane transformation of the photos.", choices=PLANE_MODELS,
-        shown="as is usual for the kind", group="input", section="planar",
-    )  # fmt: skip
-    ties: Path | None = option(None, "Tie points: id, image, col, row.", group="input", section="planar")
+        None, "Plane transformation of the photos.", choices=PLANE_MODELS, shown="as is usual for the kind"
+    )
+    ties: Path | None = option(None, "Tie points: id, image, col, row.")
     scale: float = option(
-        1.0, "Map units per pixel of the start photo of a mosaic without control.",
-        above=0.0, metavar="UNITS", shown="1", group="input", section="planar",
-        needs=("kind=uncontrolled", "kind=semicontrolled"),
+        1.0, "Map units per pixel of the start photo of a mosaic without control.", above=0.0, metavar="UNITS",
+        shown="1", needs=("kind=uncontrolled", "kind=semicontrolled"),
     )  # fmt: skip
     azimuth: float = option(
-        0.0, "Direction of the top of the start photo of a mosaic without control, from north.",
-        metavar="DEGREES", shown="0", group="input", section="planar",
-        needs=("kind=uncontrolled", "kind=semicontrolled"),
+        0.0, "Direction of the top of the start photo of a mosaic without control, from north.", metavar="DEGREES",
+        shown="0", needs=("kind=uncontrolled", "kind=semicontrolled"),
     )  # fmt: skip
     rectify: str | None = option(
         None, "Rectify controlled photos singly or together.", choices=("singly", "together"),
-        shown="singly where each has 4 control points", group="input", section="planar",
-        needs=("kind=controlled",),
+        shown="singly where each has 4 control points", needs=("kind=controlled",),
     )  # fmt: skip
-    robust: bool = option(
-        False, "Leave out tie and control points that contradict the others.", group="input", section="planar"
-    )
-    insist: bool = option(False, "Go on with points that are grossly wrong.", group="input", section="planar")
+    robust: bool = option(False, "Leave out tie and control points that contradict the others.")
+    insist: bool = option(False, "Go on with points that are grossly wrong.")
 
     @property
     def blunder_policy(self) -> str:
@@ -192,7 +186,7 @@ def _blunder_policy(robust: bool, insist: bool) -> str:
 
 
 @dataclass(frozen=True)
-class EdgeOptions(CheckedOptions):
+class EdgeOptions(CheckedOptions, group="input"):
     """Fit of photos that are matched at their edges.
 
     Attributes
@@ -205,13 +199,12 @@ class EdgeOptions(CheckedOptions):
         Leave out points that are found wrong; go on with them, with a warning.
     """
 
-    model: str = option("affine", "Model of each photo.", choices=PLANE_MODELS, group="input")
+    model: str = option("affine", "Model of each photo.", choices=PLANE_MODELS)
     reach: float | None = option(
-        None, "Where a correction has faded away.",
-        above=0.0, metavar="PIXELS", shown="3 gaps between common points", group="input",
-    )  # fmt: skip
-    robust: bool = option(False, "Leave out tie and control points that contradict the others.", group="input")
-    insist: bool = option(False, "Go on with points that are grossly wrong.", group="input")
+        None, "Where a correction has faded away.", above=0.0, metavar="PIXELS", shown="3 gaps between common points"
+    )
+    robust: bool = option(False, "Leave out tie and control points that contradict the others.")
+    insist: bool = option(False, "Go on with points that are grossly wrong.")
 
     @property
     def blunder_policy(self) -> str:
@@ -221,7 +214,7 @@ class EdgeOptions(CheckedOptions):
 
 @named_only
 @dataclass(frozen=True)
-class BlockInputs(SelfContainedOptions):
+class BlockInputs(SelfContainedOptions, group="input", section="project"):
     """Declaration of the inputs of a block; `geomosaic.inputs.declarations.Block` says what they mean to the library.
 
     Any stands for values of the library that may be given in place of a file.
@@ -229,120 +222,102 @@ class BlockInputs(SelfContainedOptions):
 
     images: tuple[Path, ...]
     # Empty until `Block` finds the sensor for images that lie as their files say: options do not ask the registry.
-    sensor: str = option(
-        "", "Sensor of the images; see `geomosaic sensors`.", group="input", section="sensor", key="name"
-    )
+    sensor: str = option("", "Sensor of the images; see `geomosaic sensors`.", section="sensor", key="name")
     camera: Path | Any | None = option(
-        None, "Camera description, or calibration certificate (TOML).",
-        group="input", section="sensor", needs=("sensor",),
-    )  # fmt: skip
+        None, "Camera description, or calibration certificate (TOML).", section="sensor", needs=("sensor",)
+    )
     exterior: Path | Any | None = option(
-        None, "Orientation table: image, x, y, z and angles.",
-        group="input", section="exterior", key="file", needs=("sensor",),
-    )  # fmt: skip
+        None, "Orientation table: image, x, y, z and angles.", section="exterior", key="file", needs=("sensor",)
+    )
     crs: str | None = option(
         None,
         "CRS of the positions and the control points, such as EPSG:32633; local for a frame without a place on Earth.",
-        metavar="CRS", files=CRS_FILES, flag="--exterior-crs --crs", group="input", section="exterior",
+        metavar="CRS", files=CRS_FILES, flag="--exterior-crs --crs", section="exterior",
     )  # fmt: skip
     heights: str | None = option(
         None, "Vertical datum of the positions: ellipsoidal, egm96, an EPSG code or a geoid grid file.",
-        metavar="DATUM", files=GEOID_FILES, group="input", section="exterior",
+        metavar="DATUM", files=GEOID_FILES, section="exterior",
     )  # fmt: skip
-    dem: Path | Any | None = option(None, "Digital elevation model.", group="input", section="dem", key="file")
+    dem: Path | Any | None = option(None, "Digital elevation model.", section="dem", key="file")
     height: float | None = option(
-        None,
-        "One height for all the ground, instead of a DEM.",
-        metavar="METRES",
-        group="input",
-        section="dem",
-        idle_with=("dem",),
+        None, "One height for all the ground, instead of a DEM.", metavar="METRES", section="dem", idle_with=("dem",)
     )
     dem_from_tie_points: bool = option(
-        False, "Ground from the adjusted tie points, instead of a DEM.",
-        flag=None, group="input", section="dem", key="from_tie_points", idle_with=("dem",),
+        False, "Ground from the adjusted tie points, instead of a DEM.", flag=None, section="dem",
+        key="from_tie_points", idle_with=("dem",),
     )  # fmt: skip
     dem_heights: str | None = option(
-        None, "Vertical datum of the DEM, where the file does not say it, or of --height.",
-        metavar="DATUM", files=GEOID_FILES, group="input", section="dem", key="heights",
+        None, "Vertical datum of the DEM, where the file does not say it, or of --height.", metavar="DATUM",
+        files=GEOID_FILES, section="dem", key="heights",
     )  # fmt: skip
     control: Path | Any | None = option(
-        None, "Control and check points: id, x, y, z, image, col, row.",
-        flag="--gcps", group="input", section="control", key="file",
-    )  # fmt: skip
+        None, "Control and check points: id, x, y, z, image, col, row.", flag="--gcps", section="control", key="file"
+    )
     bands: tuple[int, ...] | None = option(
-        None, "Bands of the images to use, such as 1,2,3.", least=1,
-        metavar="NUMBERS", flag="-b --bidx", shown="all but alpha", group="input", section="project",
+        None, "Bands of the images to use, such as 1,2,3.", least=1, metavar="NUMBERS", flag="-b --bidx",
+        shown="all but alpha",
     )  # fmt: skip
     band_names: tuple[str, ...] | None = option(
         None, "Bands by name, colour or wavelength, such as red,green,blue or 842nm, wherever each file has them.",
-        metavar="NAMES", flag="--bands", parse=_parse_names, group="input", section="project", idle_with=("bands",),
+        metavar="NAMES", flag="--bands", parse=_parse_names, idle_with=("bands",),
     )  # fmt: skip
     declared_bands: tuple[str, ...] | None = option(
         None, "Names or wavelengths of the bands of the files in their order, in place of what the files say.",
-        metavar="NAMES", parse=_parse_names, group="input", section="project", needs=("band_names",),
+        metavar="NAMES", parse=_parse_names, needs=("band_names",),
     )  # fmt: skip
     acquired: str | None = option(
-        None, "Day on which the images were taken, such as 1985-07-12, in place of what the files say.",
-        metavar="DATE", parse=_parse_day, group="input", section="project",
+        None, "Day on which the images were taken, such as 1985-07-12, in place of what the files say.", metavar="DATE",
+        parse=_parse_day,
     )  # fmt: skip
     cloud_cover: float | None = option(
-        None, "Percentage of the images that is cloud, in place of what the files say.",
-        least=0.0, most=100.0, metavar="PERCENT", group="input", section="project",
+        None, "Percentage of the images that is cloud, in place of what the files say.", least=0.0, most=100.0,
+        metavar="PERCENT",
     )  # fmt: skip
     clouds: str | None = option(
         None, "Raster of the pixels that are cloud and show nothing; {image} in the name takes each image's name.",
-        metavar="FILE", files=("",), group="input", section="project",
+        metavar="FILE", files=("",),
     )  # fmt: skip
     cloud_values: tuple[int, ...] | None = option(
-        None, "Values of that raster that stand for clouds.", metavar="NUMBERS", shown="all but 0",
-        group="input", section="project", needs=("clouds",),
-    )  # fmt: skip
+        None, "Values of that raster that stand for clouds.", metavar="NUMBERS", shown="all but 0", needs=("clouds",)
+    )
     # Not `nodata`, which is the value of unseen pixels of the output.
     src_nodata: float | None = option(
-        None, "Value of missing pixels of the images, in place of what the files say.",
-        group="input", section="project", key="nodata",
-    )  # fmt: skip
-    margin: tuple[float, float, float, float] | None = option(
-        None, "Border of every image not to be used.",
-        metavar="PIXELS", parse=_parse_margin, group="input", section="project",
-    )  # fmt: skip
-    usable: Path | None = option(
-        None, "Polygons beyond which images are not to be used: image, col, row.", group="input", section="project"
+        None, "Value of missing pixels of the images, in place of what the files say.", key="nodata"
     )
+    margin: tuple[float, float, float, float] | None = option(
+        None, "Border of every image not to be used.", metavar="PIXELS", parse=_parse_margin
+    )
+    usable: Path | None = option(None, "Polygons beyond which images are not to be used: image, col, row.")
     angles: str = option(
         "opk", "Angle system of the table, or the program whose files they are.", choices=tuple(ANGLE_SYSTEMS),
-        metavar="SYSTEM", group="input", section="exterior",
+        metavar="SYSTEM", section="exterior",
     )  # fmt: skip
     angle_unit: str | None = option(
-        None, "Unit of the angles.", choices=("deg", "gon", "rad"), shown="deg", group="input", section="exterior"
+        None, "Unit of the angles.", choices=("deg", "gon", "rad"), shown="deg", section="exterior"
     )
     angle_frame: str | None = option(
-        None, "North of the angles: the map's grid, or true.", choices=("grid", "local"),
-        shown="as the system has it", group="input", section="exterior",
+        None, "North of the angles: the map's grid, or true.", choices=("grid", "local"), shown="as the system has it",
+        section="exterior",
     )  # fmt: skip
     matrix: str | None = option(
-        None, "Direction of rotation matrices.", choices=("ground_to_image", "image_to_ground"),
-        group="input", section="exterior",
-    )  # fmt: skip
+        None, "Direction of rotation matrices.", choices=("ground_to_image", "image_to_ground"), section="exterior"
+    )
     printed: ListingLayout | None = option(
-        None, "Layout of a printed list of orientations.", flag=None, group="input", section="exterior"
+        None, "Layout of a printed list of orientations.", flag=None, section="exterior"
     )
     trusted: bool = option(
-        False, "Skip the plausibility check of the orientation.",
-        flag="--trust-orientation", group="input", section="exterior",
-    )  # fmt: skip
+        False, "Skip the plausibility check of the orientation.", flag="--trust-orientation", section="exterior"
+    )
     fiducials: Path | None = option(
-        None, "Fiducials measured in scans of film: image, id, col, row.",
-        group="input", section="sensor", needs=("sensor",),
-    )  # fmt: skip
+        None, "Fiducials measured in scans of film: image, id, col, row.", section="sensor", needs=("sensor",)
+    )
     corrections: str | None = option(
-        None, "Correction grid of image coordinates; {image} in the name takes each image's name.",
-        metavar="FILE", files=("",), group="input", section="sensor",
+        None, "Correction grid of image coordinates; {image} in the name takes each image's name.", metavar="FILE",
+        files=("",), section="sensor",
     )  # fmt: skip
     options: Mapping[str, Any] = option(
         default_factory=dict, help="Any other input of the sensor; numbers of a list with commas: offset=5150,5000.",
-        metavar="NAME=VALUE", flag="--option", group="input",
+        metavar="NAME=VALUE", flag="--option", section=None,
     )  # fmt: skip
     image_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     base: Path = Path()
@@ -350,34 +325,28 @@ class BlockInputs(SelfContainedOptions):
 
 
 @dataclass(frozen=True)
-class Area(SelfContainedOptions):
+class Area(SelfContainedOptions, group="geometry", section="output"):
     """Area and pixel size of the output; what is not given follows from the images."""
 
     dst_crs: str | None = option(
-        None, "CRS of the output, such as EPSG:32633.",
-        metavar="CRS", files=CRS_FILES, shown="that of the DEM, the positions or the control",
-        group="geometry", section="output", key="crs", idle_with=("like",),
+        None, "CRS of the output, such as EPSG:32633.", metavar="CRS", files=CRS_FILES,
+        shown="that of the DEM, the positions or the control", key="crs", idle_with=("like",),
     )  # fmt: skip
     resolution: float | None = option(
         None, "Pixel size in map units.", above=0.0, metavar="UNITS", flag="--res", shown="that of the images",
-        group="geometry", section="output", idle_with=("like",),
+        idle_with=("like",),
     )  # fmt: skip
     bounds: tuple[float, float, float, float] | None = option(
         None, "Area in map units.", metavar="LEFT BOTTOM RIGHT TOP", shown="all images", parse=parse_bounds,
-        group="geometry", section="output", idle_with=("like",),
+        idle_with=("like",),
     )  # fmt: skip
     snap: bool = option(
         False, "Widen --bounds to whole multiples of --res; without --bounds that is always done.",
-        flag="--target-aligned-pixels", group="geometry", needs=("bounds",), idle_with=("like",),
+        flag="--target-aligned-pixels", needs=("bounds",), idle_with=("like",), section=None,
     )  # fmt: skip
     like: Path | Any | None = option(
-        None, "Take CRS, pixels and extent of this raster.", metavar="RASTER", group="geometry"
+        None, "Take CRS, pixels and extent of this raster.", metavar="RASTER", section=None
     )
-
-
-def _limit(text: str, default: float | None = None, flag: str | None = None, **declared: Any) -> Any:
-    """Limit of a project's [quality], which commands have as a flag only where it judges what one of them makes."""
-    return option(default, text, above=0.0, flag=flag, section="quality", **declared)
 
 
 # Largest expected error of a solution that is taken for sound, image pixels: the distance at which control already
@@ -386,24 +355,30 @@ CORNER_SIGMA_PX = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class QualityLimits(SelfContainedOptions):
+class QualityLimits(SelfContainedOptions, section="quality", flag=None):
     """Limits of the accuracy of a project's mosaic, and a reference image to compare it with."""
 
-    max_control_rms_px: float | None = _limit("RMS length of residuals at control points, image pixels.")
-    max_check_rms_px: float | None = _limit("RMS length of residuals at check points, image pixels.")
-    max_corner_sigma_px: float = _limit(
-        "Expected error (one standard deviation) at the corners of what was adjusted, image pixels.", CORNER_SIGMA_PX,
-        flag="--max-corner-sigma", metavar="PIXELS", group="input",
+    max_control_rms_px: float | None = option(
+        None, "RMS length of residuals at control points, image pixels.", above=0.0
+    )
+    max_check_rms_px: float | None = option(None, "RMS length of residuals at check points, image pixels.", above=0.0)
+    max_corner_sigma_px: float = option(
+        CORNER_SIGMA_PX, "Expected error (one standard deviation) at the corners of what was adjusted, image pixels.",
+        above=0.0, metavar="PIXELS", group="input", flag="--max-corner-sigma",
     )  # fmt: skip
-    max_lattice_error_px: float | None = _limit("Interpolation of the geometry, image pixels.")
-    max_seam_mismatch_px: float | None = _limit("Mismatch across seams, pixels of the mosaic.")
-    max_registration_px: float | None = _limit(
-        "RMS of shifts against the reference, pixels of the reference.", needs=("quality_reference",)
+    max_lattice_error_px: float | None = option(None, "Interpolation of the geometry, image pixels.", above=0.0)
+    max_seam_mismatch_px: float | None = option(None, "Mismatch across seams, pixels of the mosaic.", above=0.0)
+    max_registration_px: float | None = option(
+        None, "RMS of shifts against the reference, pixels of the reference.", above=0.0, needs=("quality_reference",)
     )
-    max_clipped_percent: float | None = _limit("Pixels that colours clip, percent.")
-    max_gain_spread_percent: float | None = _limit("Standard deviation of the gains of images, percent.")
-    max_colour_trend_percent: float | None = _limit("Trend of colour corrections over the block, percent.")
-    max_colour_difference: float | None = _limit("RMS of corrected minus uncorrected colours, grey values.")
-    quality_reference: Path | None = option(
-        None, "Georeferenced raster to compare with.", flag=None, section="quality", key="reference"
+    max_clipped_percent: float | None = option(None, "Pixels that colours clip, percent.", above=0.0)
+    max_gain_spread_percent: float | None = option(
+        None, "Standard deviation of the gains of images, percent.", above=0.0
     )
+    max_colour_trend_percent: float | None = option(
+        None, "Trend of colour corrections over the block, percent.", above=0.0
+    )
+    max_colour_difference: float | None = option(
+        None, "RMS of corrected minus uncorrected colours, grey values.", above=0.0
+    )
+    quality_reference: Path | None = option(None, "Georeferenced raster to compare with.", key="reference")

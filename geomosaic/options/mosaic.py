@@ -71,7 +71,7 @@ class Retouch(CheckedOptions):
 
 @named_only
 @dataclass(frozen=True, kw_only=True)
-class ColourOptions(CheckedOptions):
+class ColourOptions(CheckedOptions, group="colour", stage="colour", section="mosaic"):
     """Options of colour: the balance over overlaps, histogram matching, and touch-ups.
 
     Attributes
@@ -99,44 +99,37 @@ class ColourOptions(CheckedOptions):
 
     balance: bool | None = option(
         None, "Balance colours over the overlaps.", shown="balance, but not with --rule",
-        group="colour", stage="colour", section="mosaic", idle_with=("histogram", "rule=count"),
+        idle_with=("histogram", "rule=count"),
     )  # fmt: skip
     colour: tuple[str, ...] = option(
         ("auto",),
         f"What the balance solves: gain (and offset), and {', '.join(TERMS[1:])}, with commas "
-        "between; or auto for what is warranted.",
-        metavar="TERMS", shown="auto", parse=_parse_terms, group="colour", stage="colour", section="mosaic",
+        "between; or auto for what is warranted.", metavar="TERMS", shown="auto", parse=_parse_terms,
         needs=("balance",), idle_with=("histogram",),
     )  # fmt: skip
     mask: Path | None = option(
-        None, "Areas that say nothing of colours, as polygons: clouds, water.",
-        group="colour", stage="colour", section="mosaic", needs=("balance", "histogram"),
-    )  # fmt: skip
+        None, "Areas that say nothing of colours, as polygons: clouds, water.", needs=("balance", "histogram")
+    )
     histogram: str | None = option(
         None,
         "Match histograms instead: over what images share, nearest first; over all that each shows; or each image to "
-        "the one before it.",
-        choices=("overlap", "whole", "sequence"), group="colour", stage="colour", section="mosaic",
+        "the one before it.", choices=("overlap", "whole", "sequence"),
     )  # fmt: skip
-    region: Path | None = option(
-        None, "Areas that histograms are matched over, as polygons.",
-        group="colour", stage="colour", section="mosaic", needs=("histogram",),
-    )  # fmt: skip
+    region: Path | None = option(None, "Areas that histograms are matched over, as polygons.", needs=("histogram",))
     master: str | None = option(
         None, "Image that the others are matched to.", metavar="NAME", shown="shares most",
-        group="colour", stage="colour", section="mosaic", needs=("balance", "histogram"),
+        needs=("balance", "histogram"),
     )  # fmt: skip
     reference: Path | None = option(
-        None, "Georeferenced raster that all are matched to, instead of a master.",
-        group="colour", stage="colour", section="mosaic", needs=("balance", "histogram"),
-    )  # fmt: skip
+        None, "Georeferenced raster that all are matched to, instead of a master.", needs=("balance", "histogram")
+    )
     reference_bands: tuple[int, ...] | None = option(
         None, "Bands of the reference that go with those of the images.", least=1, metavar="NUMBERS",
-        flag="--reference-bidx", group="colour", stage="colour", section="mosaic", needs=("reference",),
+        flag="--reference-bidx", needs=("reference",),
     )  # fmt: skip
     retouch: Mapping[str, Retouch] = option(
         default_factory=dict, help="Changes of single images' colours after the balance: gain and offset by image.",
-        flag=None, group="colour", stage="edits", section="mosaic", idle_with=("rule",),
+        flag=None, stage="edits", idle_with=("rule",),
     )  # fmt: skip
 
 
@@ -184,7 +177,7 @@ class SeamWeights(CheckedOptions):
 
 @named_only
 @dataclass(frozen=True, kw_only=True)
-class SeamOptions(CheckedOptions):
+class SeamOptions(CheckedOptions, group="seams", stage="seams", section="mosaic"):
     """Options of seamlines.
 
     Attributes
@@ -209,38 +202,31 @@ class SeamOptions(CheckedOptions):
     seams: str = option(
         "nearest",
         "Seams halfway between what images see best, halving overlaps, of least cost by graph cut, or by "
-        "--order.",
-        choices=("nearest", "halve", "graph-cut", "order"), group="seams", stage="seams", section="mosaic",
-        idle_with=("rule",),
+        "--order.", choices=("nearest", "halve", "graph-cut", "order"), idle_with=("rule",),
     )  # fmt: skip
     follow: tuple[Path, ...] = option(
-        (), "Roads and rivers that --seams graph-cut runs along.",
-        group="seams", stage="seams", section="mosaic", needs=("seams=graph-cut",),
-    )  # fmt: skip
+        (), "Roads and rivers that --seams graph-cut runs along.", needs=("seams=graph-cut",)
+    )
     avoid: tuple[Path, ...] = option(
-        (), "Areas, such as buildings, that --seams graph-cut keeps out of.",
-        group="seams", stage="seams", section="mosaic", needs=("seams=graph-cut",),
-    )  # fmt: skip
+        (), "Areas, such as buildings, that --seams graph-cut keeps out of.", needs=("seams=graph-cut",)
+    )
     seam_weights: SeamWeights = option(
         default_factory=SeamWeights, help="Weight of a cost of --seams graph-cut, such as heights=5.",
-        metavar="NAME=VALUE", flag="--seam-weight", group="seams", stage="seams", section="mosaic",
-        needs=("seams=graph-cut",),
+        metavar="NAME=VALUE", flag="--seam-weight", needs=("seams=graph-cut",),
     )  # fmt: skip
     cutlines: Path | None = option(
-        None, "Areas with an image each, drawn by hand, that win over --seams.",
-        group="seams", stage="edits", section="mosaic", idle_with=("rule", "blend=edge"),
+        None, "Areas with an image each, drawn by hand, that win over --seams.", stage="edits",
+        idle_with=("rule", "blend=edge"),
     )  # fmt: skip
     exclude: tuple[str, ...] = option(
-        (), "Image that is to show nothing.", metavar="NAME",
-        group="seams", stage="edits", section="mosaic", idle_with=("rule",),
-    )  # fmt: skip
+        (), "Image that is to show nothing.", metavar="NAME", stage="edits", idle_with=("rule",)
+    )
     water: Path | None = option(
-        None, "Areas of water: each is shown by the image with the least glint.",
-        group="seams", stage="seams", section="mosaic", idle_with=("rule",),
-    )  # fmt: skip
+        None, "Areas of water: each is shown by the image with the least glint.", idle_with=("rule",)
+    )
     water_fill: str = option(
         "calmest", "Show water by that image, or fill it with a continuous tone that fits its shores.",
-        choices=("calmest", "tone"), group="seams", stage="seams", section="mosaic", needs=("water",),
+        choices=("calmest", "tone"), needs=("water",),
     )  # fmt: skip
 
 
@@ -274,7 +260,7 @@ class Width:
 
 @named_only
 @dataclass(frozen=True)
-class BlendOptions(CheckedOptions):
+class BlendOptions(CheckedOptions, group="blending", stage="blending", section="mosaic"):
     """Options of blending across seams.
 
     Attributes
@@ -297,21 +283,19 @@ class BlendOptions(CheckedOptions):
         "feather",
         "Blend across the seam (exactly by cutline), from the edge of the upper image inwards, over all that images "
         "share, each band of frequency by itself, or not at all.",
-        choices=("feather", "cutline", "edge", "overlap", "multiband", "none"), group="blending", stage="blending",
-        section="mosaic", idle_with=("rule",),
+        choices=("feather", "cutline", "edge", "overlap", "multiband", "none"), idle_with=("rule",),
     )  # fmt: skip
     feather: Width | None = option(
         None, "Width of the blending: 20px, 5m, or a number of map units.", metavar="WIDTH", shown="32px",
-        parse=Width.parse, group="blending", stage="blending", section="mosaic", idle_with=("rule", "blend=none"),
+        parse=Width.parse, idle_with=("rule", "blend=none"),
     )  # fmt: skip
     ramp: str = option(
         "linear", "Shape of the transition.", choices=("linear", "smooth"),
-        group="blending", stage="blending", section="mosaic",
         idle_with=("rule", "blend=none", "blend=multiband", "feather=0"),
     )  # fmt: skip
     limit: bool | None = option(
         None, "Do not blend what images show differently, such as cars.", shown="limit",
-        group="blending", stage="blending", section="mosaic", idle_with=("rule", "blend=none", "feather=0"),
+        idle_with=("rule", "blend=none", "feather=0"),
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -332,7 +316,7 @@ class BlendOptions(CheckedOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RuleOptions(CheckedOptions):
+class RuleOptions(CheckedOptions, group="seams", stage="seams", section="mosaic"):
     """Options of a mosaic by rule instead of seams, and of which image comes first.
 
     Attributes
@@ -354,30 +338,26 @@ class RuleOptions(CheckedOptions):
     """
 
     rule: str | None = option(
-        None,
-        "Lay images together by rule, as rio merge does, instead of seams; nothing is balanced unless asked for.",
-        choices=RULES, flag="--rule --method", group="seams", stage="blending", section="mosaic",
+        None, "Lay images together by rule, as rio merge does, instead of seams; nothing is balanced unless asked for.",
+        choices=RULES, flag="--rule --method", stage="blending",
     )  # fmt: skip
     order: tuple[str, ...] = option(
         ("list",),
         f"Whose pixels come first: {', '.join(ORDERS)}; several with commas between, each among equals of those "
-        "before it. Seams divide what is equal in all.",
-        metavar="NAMES", shown="list", parse=_parse_order, group="seams", stage="seams", section="mosaic",
+        "before it. Seams divide what is equal in all.", metavar="NAMES", shown="list", parse=_parse_order,
         idle_with=_UNORDERED,
     )  # fmt: skip
     day: str | None = option(
         None, "Day that --order day and season count from, such as 2024-07-15, or 07-15.", metavar="DATE",
-        parse=_parse_reference_day, group="seams", stage="seams", section="mosaic", idle_with=_UNORDERED,
+        parse=_parse_reference_day, idle_with=_UNORDERED,
     )  # fmt: skip
     base: str | None = option(
-        None, "Image that is laid lowest, under all others.", metavar="NAME",
-        group="seams", stage="seams", section="mosaic", idle_with=_UNORDERED,
-    )  # fmt: skip
+        None, "Image that is laid lowest, under all others.", metavar="NAME", idle_with=_UNORDERED
+    )
     panchromatic: str = option(
         "fill",
         "What images of one band show beside images of several: what these leave, what they would with several "
-        "bands; or stop.",
-        choices=("fill", "mix", "refuse"), group="seams", stage="all", section="mosaic",
+        "bands; or stop.", choices=("fill", "mix", "refuse"), stage="all",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -422,30 +402,29 @@ class TileSize:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions(CheckedOptions):
+class RecordOptions(CheckedOptions, stage="records", section="mosaic"):
     """Options of what is written beside a mosaic."""
 
-    labels: bool = option(True, "Write the raster of source images.", stage="records", section="mosaic")
+    labels: bool = option(True, "Write the raster of source images.")
     vectors: bool = option(
-        True, "Write footprints, seams and gains (GeoPackage), and the STAC item with the checksum.",
-        flag="--records", stage="records",
+        True, "Write footprints, seams and gains (GeoPackage), and the STAC item with the checksum.", flag="--records",
+        section=None,
     )  # fmt: skip
-    stac: bool = option(True, flag=None, stage="records", needs=("vectors",))
+    stac: bool = option(True, flag=None, needs=("vectors",), section=None)
     views: bool = option(
-        False, "Write the raster of view angles and resolutions.", flag="--views/--no-views",
-        stage="records", section="mosaic", needs=("labels",), idle_with=("rule",),
-    )  # fmt: skip
-    displacement: float | None = option(
-        None, "Write the raster of relief displacements against level ground of this height, metres.",
-        metavar="HEIGHT", stage="records", section="mosaic", needs=("labels",), idle_with=("rule",),
-    )  # fmt: skip
-    seam_quality: bool | None = option(
-        None, "Judge seams piece by piece.", shown="in projects only", group="seams", stage="records", section="mosaic",
+        False, "Write the raster of view angles and resolutions.", flag="--views/--no-views", needs=("labels",),
         idle_with=("rule",),
     )  # fmt: skip
+    displacement: float | None = option(
+        None, "Write the raster of relief displacements against level ground of this height, metres.", metavar="HEIGHT",
+        needs=("labels",), idle_with=("rule",),
+    )  # fmt: skip
+    seam_quality: bool | None = option(
+        None, "Judge seams piece by piece.", shown="in projects only", group="seams", idle_with=("rule",)
+    )
     tiling: TileSize | None = option(
         None, "Write a grid of files of about this size, with a VRT, a tile index and a STAC collection.",
-        metavar="16384px|10km", parse=TileSize.parse, stage="records",
+        metavar="16384px|10km", parse=TileSize.parse, section=None,
     )  # fmt: skip
 
 

@@ -70,7 +70,7 @@ def _parse_workers(value: Any) -> int | str:
 
 @named_only
 @dataclass(frozen=True, kw_only=True)
-class RenderOptions(CheckedOptions):
+class RenderOptions(CheckedOptions, stage="geometry", section="output"):
     """Options of a rendered raster.
 
     Attributes
@@ -109,48 +109,41 @@ class RenderOptions(CheckedOptions):
     """
 
     resampling: str = option(
-        "bilinear",
-        "Resampling method; rms, the root of mean squares, averages amplitudes of radar in power.",
-        choices=RESAMPLING,
-        group="geometry",
-        stage="geometry",
-        section="output",
-    )
+        "bilinear", "Resampling method; rms, the root of mean squares, averages amplitudes of radar in power.",
+        choices=RESAMPLING, group="geometry",
+    )  # fmt: skip
     tolerance: float = option(
-        0.02,
-        "Largest geometric error of the lattice, in image pixels; at 0 it has a node at every pixel.",
-        least=0.0, metavar="PIXELS", group="geometry", stage="geometry", section="output",
+        0.02, "Largest geometric error of the lattice, in image pixels; at 0 it has a node at every pixel.", least=0.0,
+        metavar="PIXELS", group="geometry",
     )  # fmt: skip
     true_ortho: bool = option(
-        False, "Leave out what the surface model hides from an image; other images fill it.",
-        group="geometry", stage="geometry", section="mosaic", idle_with=("rule",),
+        False, "Leave out what the surface model hides from an image; other images fill it.", group="geometry",
+        section="mosaic", idle_with=("rule",),
     )  # fmt: skip
-    nodata: float | None = option(None, "Value of unseen pixels.", shown="a mask", stage="geometry", section="output")
-    driver: str = option(
-        "COG", "File format.", choices=("COG", "GTiff"), flag="-f --driver", stage="geometry", section="output"
-    )
+    nodata: float | None = option(None, "Value of unseen pixels.", shown="a mask")
+    driver: str = option("COG", "File format.", choices=("COG", "GTiff"), flag="-f --driver")
     creation: Mapping[str, str] = option(
-        default_factory=dict, help="Creation option of the format, as GDAL names it.",
-        metavar="NAME=VALUE", flag="--co", stage="geometry", section="output",
-    )  # fmt: skip
-    overwrite: bool = option(False, "Replace the output if it exists.", stage="running")
+        default_factory=dict, help="Creation option of the format, as GDAL names it.", metavar="NAME=VALUE", flag="--co"
+    )
+    overwrite: bool = option(False, "Replace the output if it exists.", stage="running", section=None)
     max_output: int | None = option(
         None, "Largest output that is made, with its companions, uncompressed, such as 500G.", least=1, metavar="SIZE",
-        shown="64G, or what is free on the disk", parse=parse_size, section="output", stage="running",
+        shown="64G, or what is free on the disk", parse=parse_size, stage="running",
     )  # fmt: skip
     threads: int = option(
         default_factory=lambda: os.cpu_count() or 1, help="Worker threads.", least=1, shown="all processors",
-        group="running", stage="running",
+        group="running", stage="running", section=None,
     )  # fmt: skip
     memory_limit: int = option(
         2 * GIGABYTE, "Memory the run may hold, such as 512M or 2G.", least=1, metavar="SIZE", shown="2G",
-        parse=parse_size, group="running", stage="running", flag="--mem-limit",
+        parse=parse_size, group="running", stage="running", flag="--mem-limit", section=None,
     )  # fmt: skip
     workers: int | str | Any | None = option(
         None, "Workers in place of threads: a number of processes, or a Dask scheduler such as tls://host:8786.",
         least=1, metavar="N|ADDRESS", parse=_parse_workers, shown="none", group="running", stage="running",
+        section=None,
     )  # fmt: skip
-    tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", stage="running", flag=None)
+    tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", stage="running", flag=None, section=None)
     progress: Progress | None = None
 
     def __post_init__(self) -> None:
@@ -242,34 +235,33 @@ class OrientationSigmas(CheckedOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InputSigmas(OrientationSigmas):
+class InputSigmas(OrientationSigmas, group="input", stage="records", section="output"):
     """Standard deviations of all that places on the ground depend on."""
 
     sigma_px: float | None = option(
-        None, "Standard deviation of places in the image.", least=0.0, metavar="PIXELS", group="input",
-        stage="records", section="output", needs=("accuracy",),
-    )  # fmt: skip
+        None, "Standard deviation of places in the image.", least=0.0, metavar="PIXELS", needs=("accuracy",)
+    )
     sigma_dem: Path | float | None = option(
         None, "Standard deviation of the heights: metres, or a raster of such.", metavar="METRES|FILE",
-        parse=_parse_height_sigma, group="input", stage="records", section="output", needs=("accuracy",),
+        parse=_parse_height_sigma, needs=("accuracy",),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
-class UncertaintyOptions(InputSigmas):
+class UncertaintyOptions(InputSigmas, stage="records", section="output"):
     """Options of the accuracy raster."""
 
     accuracy: bool = option(
         False, "Write the raster of standard deviations of position.", flag="--accuracy/--no-accuracy",
-        stage="records", section="output", needs=("labels",), idle_with=("rule",),
+        needs=("labels",), idle_with=("rule",),
     )  # fmt: skip
     accuracy_step: int = option(
         8, "Output pixels along a cell of the accuracy raster.", least=1, most=64, metavar="PIXELS", shown="8",
-        stage="records", section="output", needs=("accuracy",),
+        needs=("accuracy",),
     )  # fmt: skip
     accuracy_target: Path | None = option(
         None, "Target that expected errors are compared with: JSON of `plan product`, or TOML.", metavar="FILE",
-        stage="records", section="output", needs=("accuracy",),
+        needs=("accuracy",),
     )  # fmt: skip
 
     def refuse(self, products: str) -> None:
@@ -307,7 +299,7 @@ class OrthoOptions(RasterOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampleOptions(CheckedOptions):
+class SampleOptions(CheckedOptions, stage="geometry"):
     """Options of the samples of the output.
 
     Attributes
@@ -323,11 +315,11 @@ class SampleOptions(CheckedOptions):
 
     dtype: str | None = option(
         None, "Sample type of the output, such as uint16.", choices=SAMPLE_TYPES, metavar="TYPE",
-        shown="the images' own", stage="geometry",
+        shown="the images' own",
     )  # fmt: skip
     convert: str = option(
         "keep", "Keep the numbers, or bring the whole range of each type to that of --dtype.",
-        choices=("keep", "range"), stage="geometry", needs=("dtype",),
+        choices=("keep", "range"), needs=("dtype",),
     )  # fmt: skip
     stretch: str | None = option(
         None, "Stretch the mosaic to 8 bits between these percentiles (2,98), or values (v100,v3000).",

@@ -89,7 +89,7 @@ def _paper(value: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StretchOptions(CheckedOptions):
+class StretchOptions(CheckedOptions, group="colour"):
     """Options of how a raster is shown on 8 bits; what is not given follows from its samples or the layout."""
 
     bands: tuple[int, ...] | None = option(
@@ -98,22 +98,16 @@ class StretchOptions(CheckedOptions):
     )  # fmt: skip
     stretch: str | None = option(
         None, "Stretch of the values, from the whole raster.", choices=("none", "percentile", "linear", "equalise"),
-        shown="percentile for other than 8 bits", group="colour",
+        shown="percentile for other than 8 bits",
     )  # fmt: skip
-    limits: tuple[float, float] | None = option(
-        None, "Values that become black and white: linear.", metavar="LOW HIGH", group="colour"
-    )
+    limits: tuple[float, float] | None = option(None, "Values that become black and white: linear.", metavar="LOW HIGH")
     percentiles: tuple[float, float] | None = option(
-        None, "Percentiles that do.", least=0.0, most=100.0, shown="2 98", metavar="LOW HIGH", group="colour"
+        None, "Percentiles that do.", least=0.0, most=100.0, shown="2 98", metavar="LOW HIGH"
     )
-    gamma: float | None = option(None, "Above 1 brightens the middle.", above=0.0, most=10.0, group="colour")
-    clahe: float | None = option(
-        None, "Local contrast; 2 is moderate.", least=0.0, most=100.0, metavar="LIMIT", group="colour"
-    )
-    sharpen: float | None = option(
-        None, "Unsharp mask; 0.5 is moderate.", least=0.0, most=10.0, metavar="AMOUNT", group="colour"
-    )
-    hillshade: Path | None = option(None, "Blend with the hillshade of this DEM.", metavar="DEM", group="colour")
+    gamma: float | None = option(None, "Above 1 brightens the middle.", above=0.0, most=10.0)
+    clahe: float | None = option(None, "Local contrast; 2 is moderate.", least=0.0, most=100.0, metavar="LIMIT")
+    sharpen: float | None = option(None, "Unsharp mask; 0.5 is moderate.", least=0.0, most=10.0, metavar="AMOUNT")
+    hillshade: Path | None = option(None, "Blend with the hillshade of this DEM.", metavar="DEM")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,15 +124,11 @@ PAN_METHODS = ("regression", "brovey", "weighted")
 
 
 @dataclass(frozen=True)
-class PanOptions(SelfContainedOptions):
+class PanOptions(SelfContainedOptions, group="colour"):
     """Options of pan-sharpening: the panchromatic raster, and how its detail is added."""
 
-    pan: Path | None = option(
-        None, "Sharpen the bands with this panchromatic raster; keeps the sample type.", group="colour"
-    )
-    method: str | None = option(
-        None, "Of pan-sharpening.", choices=PAN_METHODS, shown=PAN_METHODS[0], group="colour", needs=("pan",)
-    )
+    pan: Path | None = option(None, "Sharpen the bands with this panchromatic raster; keeps the sample type.")
+    method: str | None = option(None, "Of pan-sharpening.", choices=PAN_METHODS, shown=PAN_METHODS[0], needs=("pan",))
 
 
 @dataclass(frozen=True)
@@ -194,7 +184,7 @@ class ContourOptions(SelfContainedOptions):
 
 
 @dataclass(frozen=True)
-class WaterOptions(CheckedOptions):
+class WaterOptions(CheckedOptions, group="geometry"):
     """Options of areas that may be water.
 
     Attributes
@@ -205,14 +195,12 @@ class WaterOptions(CheckedOptions):
         Largest slope of an area as a whole.
     """
 
-    min_area: float | None = option(
-        None, "Smallest water, square metres.", above=0.0, metavar="M2", shown="40 cells", group="geometry"
-    )
-    tilt: float = option(0.003, "Largest slope of an area as a whole.", least=0.0, flag=None, group="geometry")
+    min_area: float | None = option(None, "Smallest water, square metres.", above=0.0, metavar="M2", shown="40 cells")
+    tilt: float = option(0.003, "Largest slope of an area as a whole.", least=0.0, flag=None)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SchemeOptions(SelfContainedOptions):
+class SchemeOptions(SelfContainedOptions, group="geometry"):
     """Division of the ground into sheets.
 
     Attributes
@@ -234,18 +222,15 @@ class SchemeOptions(SelfContainedOptions):
     """
 
     scheme: str | None = option(
-        None, "How the ground is divided; see `geomosaic sheets`.", metavar="NAME", idle_with=("polygons",),
-        group="geometry",
-    )  # fmt: skip
-    scale: float | None = option(None, "Scale of the sheets.", parse=_scale, least=1.0, metavar="1:N", group="geometry")
+        None, "How the ground is divided; see `geomosaic sheets`.", metavar="NAME", idle_with=("polygons",)
+    )
+    scale: float | None = option(None, "Scale of the sheets.", parse=_scale, least=1.0, metavar="1:N")
     size: tuple[float, float] | None = option(
         None, "Width and height of sheets of 'mgrs' and 'grid', map units.", above=0.0, metavar="W H",
-        needs=("scheme=mgrs", "scheme=grid"), group="geometry",
+        needs=("scheme=mgrs", "scheme=grid"),
     )  # fmt: skip
-    origin: tuple[float, float] = option(
-        (0.0, 0.0), "Of 'grid'.", metavar="X Y", shown="0 0", needs=("scheme=grid",), group="geometry"
-    )
-    crs: str | None = option(None, "Of 'grid'.", metavar="CRS", needs=("scheme=grid",), group="geometry")
+    origin: tuple[float, float] = option((0.0, 0.0), "Of 'grid'.", metavar="X Y", shown="0 0", needs=("scheme=grid",))
+    crs: str | None = option(None, "Of 'grid'.", metavar="CRS", needs=("scheme=grid",))
     polygons: str | None = option(
         None, "Sheets that are drawn, instead of a scheme.", metavar="FILE[#LAYER]", group="input"
     )
@@ -275,10 +260,10 @@ class SeriesOptions(CheckedOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SheetOptions(CheckedOptions):
+class SheetOptions(CheckedOptions, group="input"):
     """Options of a map sheet; what is given here wins over the layout file."""
 
-    layout: Path | None = option(None, "Layout of the sheet (TOML).", group="input")
+    layout: Path | None = option(None, "Layout of the sheet (TOML).")
     scale: float | None = option(
         None, "Scale.", parse=_scale, least=1.0, metavar="1:N", shown="the largest round one that fits",
         group="geometry",
@@ -294,25 +279,24 @@ class SheetOptions(CheckedOptions):
         shown="what fits of the raster", group="geometry",
     )  # fmt: skip
     title: str | None = option(
-        None, "Title of the sheet.", group="input",
+        None, "Title of the sheet.",
         needs=("collar", "driver=PDF", "output=.pdf", "output=.png", "output=.mbtiles", "output=.kmz"),
     )  # fmt: skip
     vectors: tuple[str, ...] = option(
-        (), "Vector layer to draw; later ones lie above.", metavar="FILE[#LAYER][:STYLE]", flag="--vector",
-        group="input",
-    )  # fmt: skip
-    contours: Path | None = option(None, "Draw contours of this DEM.", metavar="DEM", group="input")
+        (), "Vector layer to draw; later ones lie above.", metavar="FILE[#LAYER][:STYLE]", flag="--vector"
+    )
+    contours: Path | None = option(None, "Draw contours of this DEM.", metavar="DEM")
     interval: float | None = option(
         None, "Interval of the contours.", above=0.0, metavar="METRES", needs=("contours",), group="geometry"
     )
     dem_heights: str | None = option(
         None, "Vertical datum of the DEM, where the file does not say it.", metavar="DATUM",
-        needs=("contours", "hillshade"), group="input",
+        needs=("contours", "hillshade"),
     )  # fmt: skip
     report: Path | None = option(
         None, "report.json of the project.", shown="that beside the raster",
-        needs=("collar", "output=.pdf", "output=.png"), idle_with=("panel=none",), group="input",
+        needs=("collar", "output=.pdf", "output=.png"), idle_with=("panel=none",),
     )  # fmt: skip
-    dpi: int | None = option(None, "Resolution of the picture.", least=72, most=2400, shown="300")
+    dpi: int | None = option(None, "Resolution of the picture.", least=72, most=2400, shown="300", group="output")
     look: StretchOptions = field(default_factory=StretchOptions)
     files: FileOptions = field(default_factory=FileOptions)

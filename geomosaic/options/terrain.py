@@ -11,27 +11,22 @@ from geomosaic.options.inputs import parse_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
-class DtmOptions(SelfContainedOptions):
+class DtmOptions(SelfContainedOptions, group="input"):
     """Data of a terrain model, and its grid."""
 
-    contours: Path | None = option(None, "Contours: lines with their heights.", metavar="FILE", group="input")
-    points: Path | None = option(
-        None, "Spot heights, kept exactly: points, or a table id,x,y,z.", metavar="FILE", group="input"
-    )
+    contours: Path | None = option(None, "Contours: lines with their heights.", metavar="FILE")
+    points: Path | None = option(None, "Spot heights, kept exactly: points, or a table id,x,y,z.", metavar="FILE")
     breaklines: Path | None = option(
-        None, "Ridges, valleys, edges of banks, where the slope breaks: lines, with heights or without.",
-        metavar="FILE", group="input",
-    )  # fmt: skip
-    water: Path | None = option(None, "Lakes: areas with their levels.", metavar="FILE", group="input")
+        None, "Ridges, valleys, edges of banks, where the slope breaks: lines, with heights or without.", metavar="FILE"
+    )
+    water: Path | None = option(None, "Lakes: areas with their levels.", metavar="FILE")
     height_field: str | None = option(
-        None, "Column that has the heights.", metavar="COLUMN", shown="height, elev, ... or z of the vertices",
-        group="input",
-    )  # fmt: skip
-    crs: str | None = option(None, "CRS of the files, where they name none.", metavar="CRS", group="input")
+        None, "Column that has the heights.", metavar="COLUMN", shown="height, elev, ... or z of the vertices"
+    )
+    crs: str | None = option(None, "CRS of the files, where they name none.", metavar="CRS")
     heights: str | None = option(
-        None, "Vertical datum of the heights, written into the DTM: egm96, an EPSG code, ellipsoidal.",
-        metavar="DATUM", group="input",
-    )  # fmt: skip
+        None, "Vertical datum of the heights, written into the DTM: egm96, an EPSG code, ellipsoidal.", metavar="DATUM"
+    )
     resolution: float | None = option(
         None, "Distance of the nodes in map units.", above=0.0, metavar="UNITS", flag="--res",
         shown="what K-2.8 advises for --map-scale", group="geometry",

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from geomosaic.options.check import SelfContainedOptions
 from geomosaic.options.declaration import option
 
-_MATCH: dict[str, Any] = {"section": "match", "group": "input"}
-# Of control points from a reference.
-_REFERENCE: dict[str, Any] = {"needs": ("reference",), **_MATCH}
-
 
 @dataclass(frozen=True)
-class TiePointOptions(SelfContainedOptions):
+class TiePointOptions(SelfContainedOptions, group="input", section="match"):
     """Options of `match`.
 
     Attributes
@@ -41,29 +36,27 @@ class TiePointOptions(SelfContainedOptions):
     """
 
     match_size: int = option(
-        2000, "Longer side of images, pixels, in which features are found; they are measured at full size.", least=200,
-        **_MATCH,
-    )  # fmt: skip
-    features: int = option(5000, "Features of an image that are compared.", least=100, **_MATCH)
+        2000, "Longer side of images, pixels, in which features are found; they are measured at full size.", least=200
+    )
+    features: int = option(5000, "Features of an image that are compared.", least=100)
     neighbours: int = option(
-        24, "Nearest images that each is compared with, by positions or, without any, by similarity.", least=1, **_MATCH
+        24, "Nearest images that each is compared with, by positions or, without any, by similarity.", least=1
     )
-    per_cell: int = option(3, "Tie points that each of 16 x 16 cells of an image asks for.", least=1, **_MATCH)
-    leave_out: Path | None = option(
-        None, "Areas on the ground that get no tie points, as polygons: water, clouds.", **_MATCH
-    )
-    cache: Path | None = option(None, "Folder that keeps features and matches for the next run.", group="input")
+    per_cell: int = option(3, "Tie points that each of 16 x 16 cells of an image asks for.", least=1)
+    leave_out: Path | None = option(None, "Areas on the ground that get no tie points, as polygons: water, clouds.")
+    cache: Path | None = option(None, "Folder that keeps features and matches for the next run.", section=None)
     reference: Path | None = option(
-        None, "Georeferenced raster of the land, such as an ortho, in which control points are found.", **_MATCH
+        None, "Georeferenced raster of the land, such as an ortho, in which control points are found."
     )
     search: float = option(
-        300.0, "Metres that images may lie wrong before they are found in the reference.", above=0.0, **_REFERENCE
-    )
+        300.0, "Metres that images may lie wrong before they are found in the reference.", above=0.0,
+        needs=("reference",),
+    )  # fmt: skip
     reference_sigma: float | None = option(
         None, "Standard deviation of the reference in one axis, metres.", above=0.0,
-        shown="what the residuals of each image tell", **_REFERENCE,
+        shown="what the residuals of each image tell", needs=("reference",),
     )  # fmt: skip
     height_sigma: float | None = option(
         None, "Standard deviation of the heights of its points, metres.", above=0.0, shown="that of the reference",
-        **_REFERENCE,
+        needs=("reference",),
     )  # fmt: skip

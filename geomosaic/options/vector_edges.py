@@ -10,18 +10,16 @@ from geomosaic.options.declaration import option
 
 
 @dataclass(frozen=True, kw_only=True)
-class VectorEdgeOptions(CheckedOptions):
+class VectorEdgeOptions(CheckedOptions, group="input"):
     """What meets at the edges of sheets, and how sheets are bent there."""
 
-    tolerance: float = option(
-        help="Distance of ends that meet at most, map units.", above=0.0, metavar="UNITS", group="input"
-    )
+    tolerance: float = option(help="Distance of ends that meet at most, map units.", above=0.0, metavar="UNITS")
     same: tuple[str, ...] = option(
-        (), "Column that must agree where lines meet; any number of times.", metavar="COLUMN", group="input"
+        (), "Column that must agree where lines meet; any number of times.", metavar="COLUMN"
     )
     sigma: tuple[float, ...] = option(
         (), "Standard deviation of a sheet, once for each in their order; 0 holds it.", metavar="UNITS",
-        shown="all alike", group="input",
+        shown="all alike",
     )  # fmt: skip
     reach: float | None = option(
         None, "Distance at which the correction of a sheet ends, map units.", above=0.0, metavar="UNITS",
