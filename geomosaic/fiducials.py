@@ -35,29 +35,10 @@ SMALLEST = 9
 LARGEST = 1024
 
 
-def expected_places(
+def _expected_places(
     fiducials: Mapping[str, tuple[float, float]], size: tuple[int, int], pixel: float, turned: float, mirrored: bool
 ) -> dict[str, tuple[float, float]]:
-    """Places of the marks on a scan that has the film in its middle.
-
-    Parameters
-    ----------
-    fiducials : mapping
-        Mark → (x, y) in mm, x right, y up.
-    size : tuple of int
-        Width and height of the scan in pixels.
-    pixel : float
-        Size of a pixel in micrometres.
-    turned : float
-        Degrees by which the film is turned in the scan, counter-clockwise.
-    mirrored : bool
-        Whether the scan shows the film from its back.
-
-    Returns
-    -------
-    dict
-        Mark → (col, row), pixels.
-    """
+    """Places of the marks, (col, row), on a scan of pixels in µm that has the film in its middle, turned by degrees."""
     t = np.radians(turned)
     places = {}
     for name, (x, y) in fiducials.items():
@@ -160,24 +141,8 @@ def _grey(source: Source, window: Window) -> FloatArray:
     return grey
 
 
-def calibrated_marks(camera: Path) -> dict[str, tuple[float, float]]:
-    """Calibrated coordinates of the fiducial marks.
-
-    Parameters
-    ----------
-    camera : Path
-        Calibration certificate with the table [fiducials].
-
-    Returns
-    -------
-    dict of str to tuple of float
-        Name to (x, y) in the image frame of the camera, mm; x right, y up.
-
-    Raises
-    ------
-    InputError
-        The file has no table of fiducials, or something else than two numbers in it.
-    """
+def _calibrated_marks(camera: Path) -> dict[str, tuple[float, float]]:
+    """Calibrated coordinates of the fiducial marks of a certificate: name to (x, y), mm; x right, y up."""
     table = read_camera(camera).get("fiducials")
     if not isinstance(table, dict) or not table:
         raise InputError(
@@ -245,14 +210,14 @@ def find_fiducials(
         file = path_of(output, "output")
         read = (*images, path_of(camera, "camera"), path_of(template, "template"))
         check_output(file, overwrite=overwrite, inputs=read)
-    known = calibrated_marks(path_of(camera, "camera"))
+    known = _calibrated_marks(path_of(camera, "camera"))
     turns = RIGHT_ANGLES if search.turned is None else (search.turned,)
     side = max(round(1000.0 * search.side / search.pixel_size), 1) if at else None
     pattern = read_template(path_of(template, "template"), at, side)
     found, doubtful = {}, []
     for scan in images:
         size = inspect(scan).size
-        places = [expected_places(known, size, search.pixel_size, turn, search.mirrored) for turn in turns]
+        places = [_expected_places(known, size, search.pixel_size, turn, search.mirrored) for turn in turns]
         ways = _numberings(scan, pattern, places, 1000.0 * search.reach / search.pixel_size, search.least)
         counts = [sum(mark.found for mark in marks.values()) for marks in ways]
         fits = [_misfit(marks, known) for marks in ways]
@@ -281,7 +246,7 @@ def find_fiducials(
             stacklevel=2,
         )
     if file is not None:
-        write_marks(file, found)
+        _write_marks(file, found)
     return found
 
 
@@ -312,7 +277,7 @@ def _numberings(
 
 def _even(known: Mapping[str, tuple[float, float]], turn: float) -> bool:
     """Whether marks turned by so many degrees lie where others lay, to what is measured: they cannot tell the turn."""
-    first, after = (expected_places(known, (0, 0), 1000.0, each, mirrored=False) for each in (0.0, turn))
+    first, after = (_expected_places(known, (0, 0), 1000.0, each, mirrored=False) for each in (0.0, turn))
     nearest = {name: min(first.values(), key=lambda place: math.dist(place, here)) for name, here in after.items()}
     return _misfit({name: Mark(*place, 0.0, 1.0) for name, place in nearest.items()}, known) <= MEASURED
 
@@ -328,20 +293,8 @@ def _misfit(marks: Mapping[str, Mark], known: Mapping[str, tuple[float, float]])
     return float(1000.0 * np.sqrt((residuals**2).sum() / (2 * len(names) - 6)))
 
 
-def write_marks(path: Path, found: dict[str, dict[str, Mark]]) -> None:
-    """Table of measured fiducials for `Block.fiducials`, as CSV.
-
-    Parameters
-    ----------
-    path : Path
-    found : dict
-        Scan → mark → Mark, as `find_fiducials` gives it; marks that were not found are left out.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+def _write_marks(path: Path, found: dict[str, dict[str, Mark]]) -> None:
+    """Table of measured fiducials for `Block.fiducials`, as CSV, without the marks that were not found."""
     lines = ["image,id,col,row,sigma,correlation"]
     for image, marks in found.items():
         lines += [

@@ -103,19 +103,13 @@ def _reliability(images: Mapping[str, Any], unit: str) -> list[str]:
 
 def _further(found: list[Mapping[str, Any]]) -> list[str]:
     """Strips, lakes, planes, lines and rigs, the first of them one by one."""
-    lines = [further_text(each) for each in found if each["observations"]]
+    lines = [_further_text(each) for each in found if each["observations"]]
     more = [f"and {len(lines) - MOST_LISTED} more strips, lakes, planes, lines or rigs, in adjustment.json"]
     return lines if len(lines) <= MOST_LISTED else lines[:MOST_LISTED] + more
 
 
-def further_text(each: Mapping[str, Any]) -> str:
-    """What several observations share, in words: a lake's height, the slope of a plane, the base of a rig.
-
-    Parameters
-    ----------
-    each : mapping
-        One of `further` of the facts.
-    """
+def _further_text(each: Mapping[str, Any]) -> str:
+    """What several observations share (one of `further` of the facts), in words: a height, a slope, a rig's base."""
     parameters = each["parameters"]
     if "normal" in each or "direction" in each:
         x, y, z = each.get("normal") or each["direction"]

@@ -76,7 +76,7 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
     """
     # Lines of sight through a net of pixels give the area to look at; a net of cells over it is then projected into the
     # image, twice, the second time on the bounds that the first has found.
-    check_side(scene, model)
+    _check_side(scene, model)
     places, _ = model.seen()
     if not len(places):
         raise InputError(
@@ -109,21 +109,8 @@ def developed_footprint(scene: OrientedImage, model: DevelopedModel) -> Develope
     return DevelopedFootprint(scene.name, ring, centre, sampling, complete, parts)
 
 
-def check_side(scene: OrientedImage, model: DevelopedModel) -> None:
-    """Check that the camera stands on the side of the surface that is drawn.
-
-    Parameters
-    ----------
-    scene : OrientedImage
-        Named by the error.
-    model : DevelopedModel
-        A model without a projection centre passes.
-
-    Raises
-    ------
-    InputError
-        The camera lies inside a body that is seen from outside, or the other way round, or behind a plane.
-    """
+def _check_side(scene: OrientedImage, model: DevelopedModel) -> None:
+    """Check that the camera stands on the side of the surface that is drawn; one without projection centre passes."""
     origin = model.origin()
     if origin is None:
         return

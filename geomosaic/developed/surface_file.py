@@ -190,25 +190,11 @@ def _given(given: Mapping[str, Any], kind: str, crs: CRS, where: str) -> Parts:
                 hint="give the angle between axis and side, in degrees",
             )
         sizes = [float(np.radians(sizes[0]))]
-    return frame, axes, primitive_of(kind, np.array(sizes), _projection(given, where)), {}, ()
+    return frame, axes, _primitive_of(kind, np.array(sizes), _projection(given, where)), {}, ()
 
 
-def primitive_of(kind: str, sizes: FloatArray, projection: str) -> Primitive:
-    """Primitive of a kind from its sizes.
-
-    Parameters
-    ----------
-    kind : str
-        'plane', 'cylinder', 'cone', 'sphere' or 'ellipsoid'.
-    sizes : array (K,)
-        None for a plane; radius in metres; half angle of a cone in radians; one to three semi-axes in metres.
-    projection : str
-        Development of a sphere or ellipsoid; of no account for three semi-axes, which have one only.
-
-    Returns
-    -------
-    Primitive
-    """
+def _primitive_of(kind: str, sizes: FloatArray, projection: str) -> Primitive:
+    """Primitive of a kind, from its radius or semi-axes in metres, or the half angle of a cone in radians."""
     if kind == "plane":
         return Flat()
     if kind == "cylinder":
@@ -261,8 +247,8 @@ def _fitted(given: Mapping[str, Any], kind: str, crs: CRS, path: Path, where: st
         if kind == "cylinder":  # v counts from the frame's origin: heights, where the axis is plumb
             origin = origin - (origin @ along) * along
         axes = Axes.about(origin, along, _zero(given, where), where)
-    body = primitive_of(kind, fitted.shape.sizes, _projection(given, where))
-    return frame, axes, body, fit_facts(fitted, axes), fit_lines(fitted, axes)
+    body = _primitive_of(kind, fitted.shape.sizes, _projection(given, where))
+    return frame, axes, body, _fit_facts(fitted, axes), _fit_lines(fitted, axes)
 
 
 def _points(path: Path) -> FloatArray:
@@ -321,20 +307,8 @@ def _vector(given: Mapping[str, Any], name: str, where: str) -> FloatArray:
     return np.array([_number(item, name, where) for item in value])
 
 
-def fit_facts(fitted: FittedPrimitive, axes: Axes) -> dict[str, Any]:
-    """Sizes, place and axis of a fitted surface with their standard deviations.
-
-    Parameters
-    ----------
-    fitted : FittedPrimitive
-    axes : Axes
-        Of the surface, turned to its final side.
-
-    Returns
-    -------
-    dict
-        JSON values in metres and degrees; sigmas are None where there are no more points than unknowns.
-    """
+def _fit_facts(fitted: FittedPrimitive, axes: Axes) -> dict[str, Any]:
+    """Sizes, place and axis of a fitted surface with their sigmas in metres and degrees; None without redundancy."""
     kind, sigmas = fitted.shape.kind, fitted.sigmas
     degrees = {"half_angle"}
     sizes = {
@@ -357,19 +331,9 @@ def fit_facts(fitted: FittedPrimitive, axes: Axes) -> dict[str, Any]:
     }
 
 
-def fit_lines(fitted: FittedPrimitive, axes: Axes) -> tuple[str, ...]:
-    """Text of a fit in two lines: its check, and its sizes, place and axis.
-
-    Parameters
-    ----------
-    fitted : FittedPrimitive
-    axes : Axes
-
-    Returns
-    -------
-    tuple of str
-    """
-    facts = fit_facts(fitted, axes)
+def _fit_lines(fitted: FittedPrimitive, axes: Axes) -> tuple[str, ...]:
+    """Text of a fit in two lines: its check, and its sizes, place and axis."""
+    facts = _fit_facts(fitted, axes)
     check = f"sigma0 {1000 * facts['sigma0']:.2g} mm" if facts["sigma0"] is not None else "no check: no point too many"
     sizes = []
     for name in SIZES[fitted.shape.kind]:

@@ -209,7 +209,7 @@ class Network:
                 lost = np.zeros(self.moving.shape)
                 lost[self.undetermined_points] = 1.0
                 return np.inf, self._joined(np.zeros(self.parameters), lost)
-            return np.inf, largest_eigenvalue(lambda v: length * self._solved_once(v * length, beside), start)[1]
+            return np.inf, _largest_eigenvalue(lambda v: length * self._solved_once(v * length, beside), start)[1]
 
         def onward(v: FloatArray) -> FloatArray:
             return self._joined(*normals.turned_product(normals.product(*self._parted(v / length)))) / length
@@ -218,8 +218,8 @@ class Network:
             side = v * length if self.datum is None else self.datum.turned(v * length)
             return length * self._solved_once(side, self.factored)
 
-        most, _ = largest_eigenvalue(onward, start)
-        inverse, direction = largest_eigenvalue(cofactors, start)
+        most, _ = _largest_eigenvalue(onward, start)
+        inverse, direction = _largest_eigenvalue(cofactors, start)
         return float(np.sqrt(most * inverse)), direction
 
     def weakest(self) -> tuple[float, FloatArray]:
@@ -376,22 +376,8 @@ def _not_negative(share: FloatArray) -> FloatArray:
     return found
 
 
-def largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], start: FloatArray) -> tuple[float, FloatArray]:
-    """Largest eigenvalue of a positive definite operator, and its vector.
-
-    Parameters
-    ----------
-    apply : callable
-        The operator, of vectors (U,).
-    start : array (U,)
-        Any vector with a share of the one that is looked for.
-
-    Returns
-    -------
-    value : float
-        Inf where the operator gives numbers that are not finite.
-    vector : array (U,)
-    """
+def _largest_eigenvalue(apply: Callable[[FloatArray], FloatArray], start: FloatArray) -> tuple[float, FloatArray]:
+    """Largest eigenvalue of a positive definite operator, and its vector (U,); inf where it gives no finite numbers."""
     from scipy.linalg import eigh_tridiagonal
 
     # Lanczos (1950), every vector made orthogonal to all before it: a dozen products in place of a power iteration's

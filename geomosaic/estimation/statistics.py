@@ -115,7 +115,7 @@ class Cofactors:
             Their derivatives by the parameters, weighted alike.
         """
         # Error of the measurement plus error of the prediction: the point took no part, so the two are independent.
-        spread = np.eye(2) + propagated(design, self.parameters)
+        spread = np.eye(2) + _propagated(design, self.parameters)
         seen = np.isfinite(weighted).all(axis=1) & np.isfinite(spread).all(axis=(1, 2))
         statistic = np.full(len(weighted), np.inf)
         solved = np.linalg.solve(spread[seen], weighted[seen][:, :, None])[:, :, 0]
@@ -183,30 +183,22 @@ def variance_factor(sigma0: float, redundancy: int) -> float:
     return (PRIOR_REDUNDANCY + redundancy * sigma0**2) / (PRIOR_REDUNDANCY + redundancy)
 
 
-def propagated(design: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariances A C Aᵀ (N, 2, 2) of positions by that of the parameters.
-
-    Parameters
-    ----------
-    design : array (N, 2, P)
-        Derivatives of positions by the parameters.
-    covariance : array (P, P), or (P,)
-        Of the parameters; its diagonal alone where they have no correlation.
-    """
+def _propagated(design: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Covariances A C Aᵀ (N, 2, 2) of positions by that (P, P) of the parameters, or by its diagonal (P,) alone."""
     weighted = design * covariance if covariance.ndim == 1 else design @ covariance
     found: FloatArray = weighted @ design.transpose(0, 2, 1)
     return found
 
 
 def position_sigmas(design: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Expected length (N,) of position errors, √(σ₁² + σ₂²); arguments as for `propagated`.
+    """Expected length (N,) of position errors, √(σ₁² + σ₂²); arguments as for `_propagated`.
 
     Parameters
     ----------
     design : array (N, 2, P)
     covariance : array (P, P), or (P,)
     """
-    variance = np.trace(propagated(design, covariance), axis1=1, axis2=2)
+    variance = np.trace(_propagated(design, covariance), axis1=1, axis2=2)
     sigmas: FloatArray = np.sqrt(np.maximum(variance, 0.0))
     return sigmas
 

@@ -180,7 +180,7 @@ def _described(points: Sequence[Any], values: AnyArray, corner: tuple[int, int])
         np.array([point.pt for point in points], dtype=np.float64) + 0.5 + corner,
         np.array([point.size for point in points], dtype=np.float64),
         np.radians([point.angle for point in points]),
-        root_descriptors(values),
+        _root_descriptors(values),
     )
 
 
@@ -236,18 +236,8 @@ def spread(colrow: FloatArray, strength: FloatArray, cell: float, most: int) -> 
     return chosen
 
 
-def root_descriptors(values: AnyArray) -> ByteArray:
-    """Root of SIFT descriptors (N, 128), in eight bits.
-
-    Parameters
-    ----------
-    values : array (N, 128)
-        SIFT descriptors, not negative.
-
-    Returns
-    -------
-    uint8 array (N, 128)
-    """
+def _root_descriptors(values: AnyArray) -> ByteArray:
+    """Root of SIFT descriptors (N, 128), which are not negative, in eight bits."""
     total = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)
     rooted: ByteArray = np.minimum(np.rint(UNIT * np.sqrt(values / total)), 255.0).astype(np.uint8)
     return rooted

@@ -78,7 +78,7 @@ def match_patches(
     place = np.ascontiguousarray(pixels, dtype=np.int64).reshape(-1, 2)
     warps = np.concatenate([np.reshape(affine, (-1, 4)), np.reshape(colrow, (-1, 2)) - 0.5], axis=1).astype(np.float64)
     covariances, correlations = np.full((count, 3), np.nan), np.full(count, np.nan)
-    weights = patch_weights(HALF)
+    weights = _patch_weights(HALF)
     with sharing(count > 64) as share:
         share(
             lambda low, high: _match_patches(
@@ -96,18 +96,8 @@ def match_patches(
     )
 
 
-def patch_weights(half: int) -> FloatArray:
-    """Weights (2·half + 1, 2·half + 1) of a patch's pixels.
-
-    Parameters
-    ----------
-    half : int
-        Half of the patch's width, pixels.
-
-    Returns
-    -------
-    array (2·half + 1, 2·half + 1)
-    """
+def _patch_weights(half: int) -> FloatArray:
+    """Weights (2·half + 1, 2·half + 1) of a patch's pixels."""
     away = np.arange(-half, half + 1) / (half * WEIGHT_SIGMA)
     weights: FloatArray = np.exp(-0.5 * (away[:, None] ** 2 + away[None, :] ** 2))
     return weights

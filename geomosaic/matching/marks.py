@@ -54,7 +54,7 @@ class MarkTemplate:
         The mark lies about in the middle, whole; the centre is NaN where the image is not symmetric about any place.
         """
         grey = np.asarray(values, dtype=np.float64)
-        found = centre_of_symmetry(grey)
+        found = _centre_of_symmetry(grey)
         return cls(grey, (found.col, found.row))
 
 
@@ -83,19 +83,8 @@ class Mark:
         return bool(np.isfinite(self.col))
 
 
-def centre_of_symmetry(values: AnyArray) -> Mark:
-    """Place about which an image of a mark (dot, cross, ring, square) looks the same when it is turned by 180°.
-
-    Parameters
-    ----------
-    values : array (rows, cols)
-        Grey values; the mark lies about in the middle.
-
-    Returns
-    -------
-    Mark
-        NaN where the image is not symmetric about any place near its middle.
-    """
+def _centre_of_symmetry(values: AnyArray) -> Mark:
+    """Place about which an image of a mark in its middle looks the same turned by 180°; NaN where there is none."""
     grey = np.asarray(values, dtype=np.float64)
     rows, cols = grey.shape
     reach = min(rows, cols) // 6
@@ -133,7 +122,7 @@ def measure_mark(picture: AnyArray, colrow: tuple[float, float], half: int = 12)
         window = _levelled(grey[top : top + 2 * half + 1, left : left + 2 * half + 1])
         if not np.ptp(window) > 0.0:
             return lost
-        found = centre_of_symmetry(window)
+        found = _centre_of_symmetry(window)
         if not found.found:
             col, row = _towards_contrast(window, left, top)
         elif (here := (int(left + found.col), int(top + found.row))) == (col, row):

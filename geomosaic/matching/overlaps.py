@@ -117,7 +117,7 @@ def _described(features: Sequence[Features]) -> Float32Array:
     vectors = np.zeros((len(features), words.size), dtype=np.float32)
     for vector, each in zip(vectors, features, strict=True):
         values, by_word = each.descriptors.astype(np.float32), vector.reshape(words.shape)
-        nearest = nearest_words(values, words)
+        nearest = _nearest_words(values, words)
         np.add.at(by_word, nearest, (values - words[nearest]) / np.float32(UNIT))
         # Each word by itself, then the whole: what repeats over an image (waves, crops) must not outweigh the rest.
         by_word /= np.maximum(np.linalg.norm(by_word, axis=1, keepdims=True), 1e-12)
@@ -125,13 +125,7 @@ def _described(features: Sequence[Features]) -> Float32Array:
     return vectors
 
 
-def nearest_words(values: Float32Array, words: Float32Array) -> IntArray:
-    """Number (N,) of the nearest word of each descriptor.
-
-    Parameters
-    ----------
-    values : array (N, 128)
-    words : array (W, 128)
-    """
+def _nearest_words(values: Float32Array, words: Float32Array) -> IntArray:
+    """Number (N,) of the nearest word (W, 128) of each descriptor (N, 128)."""
     nearest: IntArray = np.argmin((words**2).sum(axis=1) - 2.0 * values @ words.T, axis=1)
     return nearest

@@ -126,7 +126,7 @@ def agreement_with_neighbours(one: FloatArray, other: FloatArray) -> IntArray:
     int array (M,)
         1 where they do, -1 where they do not, 0 where those around them tell nothing.
     """
-    expected, scatter, leverage = local_regression(one, other, AROUND)
+    expected, scatter, leverage = _local_regression(one, other, AROUND)
     off = np.linalg.norm(other - expected, axis=1)
     tolerance = np.maximum(NEAR, FAR * scatter * np.sqrt(1.0 + leverage))
     silent = (leverage > LARGEST_LEVERAGE) | (tolerance > LARGEST_TOLERANCE)
@@ -146,26 +146,15 @@ def off_epipolar_lines(one: FloatArray, other: FloatArray) -> BoolArray:
     -------
     bool array (M,)
     """
-    distance = epipolar_distances(one, other)[:, None]
-    expected, scatter, leverage = local_regression(one, distance, AROUND_LINE)
+    distance = _epipolar_distances(one, other)[:, None]
+    expected, scatter, leverage = _local_regression(one, distance, AROUND_LINE)
     off = np.abs(distance - expected)[:, 0]
     found: BoolArray = off > np.maximum(NEAR_LINE, FAR_LINE * 1.4826 * scatter * np.sqrt(1.0 + leverage))
     return found
 
 
-def epipolar_distances(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Signed distances of matches from the epipolar geometry that fits them best.
-
-    Parameters
-    ----------
-    one, other : array (M, 2)
-        Places, pixels, at least nine.
-
-    Returns
-    -------
-    array (M,)
-        Pixels across the lines, by Sampson's approximation; of an error of one of the two places.
-    """
+def _epipolar_distances(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Signed distances (M,), pixels, of nine or more matches from the epipolar geometry that fits best (Sampson)."""
     (a, scale), (b, other_scale) = _normalised(one), _normalised(other)
     terms = (b[:, :, None] * a[:, None, :]).reshape(len(a), 9)
     weight = np.ones(len(a))
@@ -190,24 +179,11 @@ def _normalised(places: FloatArray) -> tuple[FloatArray, float]:
     return np.column_stack([scale * about, np.ones(len(about))]), scale
 
 
-def local_regression(places: FloatArray, values: FloatArray, around: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values at places as an affine function of the places around each gives them, robustly, without its own.
+def _local_regression(places: FloatArray, values: FloatArray, around: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Values (M, K) at places (M, 2) as a robust affine function of the `around` others about each gives them.
 
-    Parameters
-    ----------
-    places : array (M, 2)
-        Pixels.
-    values : array (M, K)
-    around : int
-        Number of places around each that count.
-
-    Returns
-    -------
-    expected : array (M, K)
-    scatter : array (M,)
-        Median distance of the values around from the function, for the degrees of freedom that are left.
-    leverage : array (M,)
-        Variance of what is expected, in units of that of one value.
+    Returns what is expected (M, K); the median distance (M,) of the values around from the function, for the degrees of
+    freedom that are left; and the variance (M,) of what is expected, in units of that of one value.
     """
     count = min(around, len(places) - 1)
     _, near = cKDTree(places).query(places, k=count + 1)

@@ -92,7 +92,7 @@ def agreeing(first: Features, second: Features, matches: IntArray, tolerance: fl
     if len(matches) < LEAST_MATCHES:
         return None
     one, other = first.colrow[matches[:, 0]], second.colrow[matches[:, 1]]
-    found = robust_fundamental(one, other, tolerance)
+    found = _robust_fundamental(one, other, tolerance)
     if found is None:
         return None
     matrix, kept = found
@@ -105,15 +105,8 @@ def agreeing(first: Features, second: Features, matches: IntArray, tolerance: fl
     return Pair(pairs, matrix)
 
 
-def robust_fundamental(one: FloatArray, other: FloatArray, tolerance: float) -> tuple[FloatArray, BoolArray] | None:
-    """Fundamental matrix (3, 3) of matches, and those (M,) that agree with it; None where there is none.
-
-    Parameters
-    ----------
-    one, other : array (M, 2)
-    tolerance : float
-        Pixels from the epipolar line.
-    """
+def _robust_fundamental(one: FloatArray, other: FloatArray, tolerance: float) -> tuple[FloatArray, BoolArray] | None:
+    """Fundamental matrix (3, 3) of matches, and those (M,) within pixels of its lines; None where there is none."""
     import cv2
 
     return _robust(

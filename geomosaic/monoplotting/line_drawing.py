@@ -220,7 +220,7 @@ def _drawn(view: View, parts: Sequence[Any]) -> Iterator[list[tuple[Any, bool]]]
 
     frame = shapely.box(0.0, 0.0, *view.model.size)
     rings = [_rings(part) for part in parts]
-    traced = iter(trace_all(view, [ring for each in rings for ring in each]))
+    traced = iter(_trace_all(view, [ring for each in rings for ring in each]))
     for part, own in zip(parts, rings, strict=True):
         lines = [next(traced) for _ in own]
         if part.geom_type == "Point":
@@ -254,7 +254,7 @@ def _simple(geometry: Any) -> Any:
 
 
 def trace(view: View, xy: FloatArray) -> list[tuple[FloatArray, int]]:
-    """Follow one line of the map over the ground, see `trace_all`.
+    """Follow one line of the map over the ground, see `_trace_all`.
 
     Parameters
     ----------
@@ -262,23 +262,13 @@ def trace(view: View, xy: FloatArray) -> list[tuple[FloatArray, int]]:
     xy : array (N, 2)
         Vertices, CRS of the map.
     """
-    return trace_all(view, [xy])[0]
+    return _trace_all(view, [xy])[0]
 
 
-def trace_all(view: View, lines: Sequence[FloatArray]) -> list[list[tuple[FloatArray, int]]]:
-    """Follow lines of the map over the ground.
+def _trace_all(view: View, lines: Sequence[FloatArray]) -> list[list[tuple[FloatArray, int]]]:
+    """Pieces in image coordinates (M, 2) of lines (N, 2) of the map, each of one state, in order.
 
-    Parameters
-    ----------
-    view : View
-    lines : sequence of array (N, 2)
-        Vertices in `view.crs`.
-
-    Returns
-    -------
-    list of list of (array (M, 2), int)
-        For each line its pieces in image coordinates, each of one state (`VISIBLE`, `OCCLUDED`, `NO_IMAGE`), in order.
-        Ends between them are found to 1e-6 of the distance of the places looked at.
+    Ends between states are found to 1e-6 of the distance of the places looked at.
     """
     if not lines:
         return []

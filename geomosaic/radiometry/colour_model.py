@@ -41,7 +41,7 @@ class ColourModel:
     gain, dark, gamma : array (images, bands)
         Gain as its logarithm.
     shared : array (width, bands)
-        Coefficients of `bases.shared_functions`.
+        Coefficients of `corrections.shared_functions`.
     level : array (bands,)
         Subtracted from the logarithm of the field, so that its mean over all samples is 0.
     haze : array (images, bands), optional

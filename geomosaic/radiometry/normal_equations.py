@@ -191,7 +191,7 @@ class Prior:
     own : array (4, images)
         Inverse variances of the logarithm of the gain (about 0), dark offset (0), gamma (1) and haze (0).
     shared : array (width, width)
-        See `bases.prior_normal_matrix`.
+        See `corrections.prior_normal_matrix`.
     rows, cols : int array (entries,)
         Images of the entries that bound drift, see `overlaps.normal_entries`.
     held : array (entries,)

@@ -266,7 +266,7 @@ def _within_tolerance(
     sides = np.setdiff1d(np.arange(len(points) - 1), lines.last[:-1])  # not from one line to the next
     for _ in range(10):
         now = start + weight[:, None] * (points - start)
-        off = sides[deviations(values, now[sides], now[sides + 1], lines.level[sides]) > tolerance]
+        off = sides[_deviations(values, now[sides], now[sides + 1], lines.level[sides]) > tolerance]
         if not len(off):
             return now
         bad = np.zeros(len(points), dtype=bool)
@@ -339,15 +339,8 @@ def _exceeds_tolerance(values: AnyArray, points: FloatArray, lines: _Lines, tole
     return off
 
 
-def deviations(values: AnyArray, start: FloatArray, end: FloatArray, level: AnyArray | float) -> FloatArray:
-    """Largest differences (N,) between the surface along sides (N, 2) and a level.
-
-    Parameters
-    ----------
-    values : array (rows, cols), heights at the nodes, metres
-    start, end : array (N, 2), ends of the sides in node coordinates (col, row)
-    level : array (N,) or float, metres
-    """
+def _deviations(values: AnyArray, start: FloatArray, end: FloatArray, level: AnyArray | float) -> FloatArray:
+    """Largest differences (N,) in metres between the surface along sides, in node coordinates (N, 2), and a level."""
     # Nine places of each side, and where it crosses from a cell to the next: there the surface has its kinks. fmax
     # leaves out places where the surface is unknown. Sides are no longer than a cell, so that there is one crossing
     # each way.
@@ -363,7 +356,7 @@ def deviations(values: AnyArray, start: FloatArray, end: FloatArray, level: AnyA
 
 
 def deviation(values: AnyArray, line: FloatArray, level: float) -> float:
-    """Largest difference between the surface along a line and a level, as `deviations` has it.
+    """Largest difference between the surface along a line and a level, as `_deviations` has it.
 
     Parameters
     ----------
@@ -371,4 +364,4 @@ def deviation(values: AnyArray, line: FloatArray, level: float) -> float:
     line : array (N, 2), vertices in node coordinates (col, row)
     level : float, metres
     """
-    return float(deviations(values, line[:-1], line[1:], level).max())
+    return float(_deviations(values, line[:-1], line[1:], level).max())

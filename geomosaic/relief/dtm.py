@@ -136,7 +136,7 @@ def dtm(output: PathLike, *, overwrite: bool = False, **options: Any) -> DtmResu
     terrain = read_terrain(asked)
     grid = _grid(terrain, asked.bounds, resolution)
     crs = grid.crs if asked.heights is None else with_heights(grid.crs, asked.heights, "`heights`")
-    data = plate_data(terrain, grid)
+    data = _plate_data(terrain, grid)
     if len(data.observed.height) + len(data.spots.height) < 3:
         raise InputError("three heights at least make a surface", where=str(read[0]), hint="give more of them")
     written = replace(grid, crs=crs if crs.is_compound and not is_local(crs) else horizontal(crs))
@@ -168,15 +168,8 @@ def _contradiction(made: DtmResult, terrain: TerrainData) -> str | None:
     return None
 
 
-def plate_data(terrain: TerrainData, grid: Grid) -> PlateData:
-    """Terrain data in the nodes of a grid.
-
-    Parameters
-    ----------
-    terrain : TerrainData
-    grid : Grid
-        Its nodes are the pixel centres.
-    """
+def _plate_data(terrain: TerrainData, grid: Grid) -> PlateData:
+    """Terrain data in the nodes, the pixel centres, of a grid."""
     import shapely
 
     def node(xy: FloatArray) -> FloatArray:

@@ -87,18 +87,8 @@ def parts_of(label: IntArray, images: int, margin: int, levels: int) -> list[Par
     return found
 
 
-def both_of(one: slice, other: slice) -> slice:
-    """Common part of two slices; empty if there is none.
-
-    Parameters
-    ----------
-    one, other : slice
-        With start and stop.
-
-    Returns
-    -------
-    slice
-    """
+def _both_of(one: slice, other: slice) -> slice:
+    """Common part of two slices; empty if there is none."""
     start = max(one.start, other.start)
     return slice(start, max(start, min(one.stop, other.stop)))
 
@@ -199,7 +189,7 @@ def differences(
         raw = minus(view.values, ground, both)
         certain = both[None].astype(np.float32)
         if noise is not None:
-            certain = robust_certainty(raw, certain, noise)
+            certain = _robust_certainty(raw, certain, noise)
         apart = raw if (certain == 1).all() else filled(raw, certain, REACH)
         if part is not None:
             found[i] = BandDifferences(np.ascontiguousarray(apart[:, part.rows, part.cols]), part)
@@ -209,23 +199,8 @@ def differences(
     return found
 
 
-def robust_certainty(apart: AnyArray, certain: AnyArray, noise: float) -> AnyArray:
-    """Certainty of differences: little where they stand out from their surroundings.
-
-    Parameters
-    ----------
-    apart : array (bands, rows, cols)
-        Differences, 0 where not known.
-    certain : float32 array (1, rows, cols)
-        1 where they are known, else 0.
-    noise : float
-        Usual difference of two images of the same ground, in values.
-
-    Returns
-    -------
-    float32 array (1, rows, cols)
-        0 to 1.
-    """
+def _robust_certainty(apart: AnyArray, certain: AnyArray, noise: float) -> AnyArray:
+    """Certainty, 0 to 1, of differences (bands, rows, cols): little where they stand out from their surroundings."""
     # Measured at half the resolution: a difference stands out by its distance from the mean difference within about 32
     # pixels, root mean square over bands and some pixels around. The mean is taken again with the new certainties.
     small, weight = reduce(apart * certain), reduce(certain)
@@ -353,7 +328,7 @@ def corrected(
         rows, cols = inside
         difference = None
         if own is not None:
-            rows, cols = both_of(rows, own.part.rows), both_of(cols, own.part.cols)
+            rows, cols = _both_of(rows, own.part.rows), _both_of(cols, own.part.cols)
             difference = own.values[:, within(own.part.rows, rows), within(own.part.cols, cols)]
         join(
             view.values[rows, cols], difference, None if blend is None else blend[:, rows, cols],

@@ -84,31 +84,18 @@ def fit_rpc_and_grid(
     # An RPC fitted to jitter follows it in part, differently at each height, and no grid can correct that. So the RPC
     # is fitted a second time, to the sensor less the first grid: alone it is a few per cent worse, with its grid up to
     # ten times better.
-    first = residual_grid(tool.fit_rational(exact, heights).model, exact, heights).grid
+    first = _residual_grid(tool.fit_rational(exact, heights).model, exact, heights).grid
     rows, columns, _ = first.nodes.shape
     sides = (first.origin[axis] + first.spacing[axis] * np.arange(n) for axis, n in enumerate((columns, rows)))
     places = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
     nodes = (first.ideal(places) - places).reshape(rows, columns, 2)
     back = CorrectionGrid(first.origin, first.spacing, nodes, beyond="held")
     model = tool.fit_rational(Corrected.of(exact, back, sensor), heights).model
-    return model, residual_grid(model, exact, heights)
+    return model, _residual_grid(model, exact, heights)
 
 
-def residual_grid(rational: SensorModel, exact: SensorModel, heights: tuple[float, float]) -> GridFit:
-    """Correction grid from an RPC to the model it was fitted to.
-
-    Parameters
-    ----------
-    rational, exact : SensorModel
-        The RPC, and the model it stands for, of one image.
-    heights : tuple of float
-        Lowest and highest ellipsoidal height in metres.
-
-    Raises
-    ------
-    SolveError
-        The models do not see the ground at these heights.
-    """
+def _residual_grid(rational: SensorModel, exact: SensorModel, heights: tuple[float, float]) -> GridFit:
+    """Correction grid from an RPC to the model it was fitted to, over ellipsoidal heights in metres."""
     # Each node is the mean of the differences at three heights: jitter and bent detector lines rotate lines of sight,
     # which moves the image by nearly the same at all heights.
     to_exact = Transform(WGS84, exact.crs)

@@ -102,7 +102,7 @@ class LevelErrors:
         def image(points: FloatArray) -> FloatArray:
             return model.ground_to_image(to_model(points))
 
-        steps = difference_steps(image, places, metres)
+        steps = _difference_steps(image, places, metres)
         by_ground = np.stack([_slope(image, places, axis, steps[axis]) / metres[:, axis, None] for axis in range(3)], 2)
         if not has_heights(model.crs):
             by_ground[:, :, 2] = 0.0
@@ -126,17 +126,8 @@ class LevelErrors:
         return self.root @ self.root.transpose(0, 2, 1)
 
 
-def difference_steps(image: Callable[[FloatArray], FloatArray], places: FloatArray, metres: FloatArray) -> FloatArray:
-    """Steps (3,) along the axes of the ground that move the image by about a pixel.
-
-    Parameters
-    ----------
-    image : callable
-        Ground (N, 3) to image (N, 2).
-    places : array (N, 3)
-    metres : array (N, 3)
-        Metres in a unit of each coordinate.
-    """
+def _difference_steps(image: Callable[[FloatArray], FloatArray], places: FloatArray, metres: FloatArray) -> FloatArray:
+    """Steps (3,) along the axes of the ground that move the image by about a pixel."""
     first = places[np.isfinite(image(places)).all(axis=1)][:1]
     first = first if len(first) else places[:1]
     step = pixel_step(
@@ -145,16 +136,8 @@ def difference_steps(image: Callable[[FloatArray], FloatArray], places: FloatArr
     return step * np.array([1.0, 1.0, float(metres[0, 0] / metres[0, 2])])
 
 
-def on_slope(slope: FloatArray, tangent: FloatArray) -> FloatArray:
-    """Matrices (N, 2, 2) that bring errors on level ground to a slope.
-
-    Parameters
-    ----------
-    slope : array (N, 2)
-        Metres of height per metre along x and y.
-    tangent : array (N, 2)
-        Of `LevelErrors`.
-    """
+def _on_slope(slope: FloatArray, tangent: FloatArray) -> FloatArray:
+    """Matrices (N, 2, 2) that bring errors on level ground to a slope (N, 2), by the tangent of `LevelErrors`."""
     with np.errstate(divide="ignore", invalid="ignore"):
         facing = 1.0 - (slope * tangent).sum(axis=1)
         lengthened: FloatArray = np.eye(2) + tangent[:, :, None] * slope[:, None, :] / facing[:, None, None]
@@ -248,9 +231,9 @@ def ellipses(
     level = LevelErrors.at(model, to_model, places, metres, uncertainty)
     slope = np.zeros((len(places), 2))
     if surface is not None:
-        steps = difference_steps(lambda points: model.ground_to_image(to_model(points)), places, metres)
+        steps = _difference_steps(lambda points: model.ground_to_image(to_model(points)), places, metres)
         slope = _hillside(surface, crs, places, steps) / metres[:, :2] * metres[:, 2:]
-    lengthened = on_slope(slope, level.tangent)
+    lengthened = _on_slope(slope, level.tangent)
     to_space = np.concatenate([lengthened, slope[:, None, :] @ lengthened], axis=1)  # (N, 3, 2)
     root = to_space @ level.root
     total = root @ root.transpose(0, 2, 1)

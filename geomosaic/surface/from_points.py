@@ -103,7 +103,7 @@ def surface_from_points(points: ScatteredPoints, grid: Grid) -> PointSurface:
     middle = points.xyz.mean(axis=0) if len(points.xyz) else np.zeros(3)
     # Triangles of map coordinates of seven digits would be rounded.
     local = ScatteredPoints(points.xyz - middle, points.own, points.shared)
-    kept, slope = without_blunders(local)
+    kept, slope = _without_blunders(local)
     good = local.part(kept)
     samples = Samples.of(good.xyz, good.own, good.shared, slope[kept])
     nodes = grid.xy(np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in grid.shape[::-1])), axis=-1).reshape(-1, 2))
@@ -145,20 +145,11 @@ def grid_of_points(points: FloatArray, bounds: Bounds, crs: CRS) -> Grid:
     return Grid.from_bounds(crs, bounds, float(cell))
 
 
-def without_blunders(points: ScatteredPoints) -> tuple[BoolArray, FloatArray]:
-    """Points that lie on the ground as their neighbours show it, and the slope of that.
+def _without_blunders(points: ScatteredPoints) -> tuple[BoolArray, FloatArray]:
+    """Points (N,) that lie on the ground as their neighbours show it, and the slope (N, 2) of that.
 
-    Parameters
-    ----------
-    points : ScatteredPoints
-
-    Returns
-    -------
-    kept : bool array (N,)
-        Not those that are known much worse than their neighbours, nor those that depart from the plane of these and
-        have no two neighbours at their own height: roofs and trees have.
-    slope : array (N, 2)
-        Along x and y.
+    Not kept are those known much worse than their neighbours, and those that depart from the plane of these and have no
+    two neighbours at their own height: roofs and trees have.
     """
     xyz, count = points.xyz, len(points.xyz)
     kept, slope = np.ones(count, dtype=bool), np.zeros((count, 2))

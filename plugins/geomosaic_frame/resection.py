@@ -46,32 +46,8 @@ ALIKE = 3.0
 NEAR = 0.1
 
 
-def read_points(given: Any, where: str) -> tuple[list[str], FloatArray, FloatArray, FloatArray]:
-    """Control points of a list of tables.
-
-    Parameters
-    ----------
-    given : object
-        Tables with x, y, z, col, row and, optionally, id and sigma (pixels, 1 unless given).
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    names : list of str
-        Their ids; numbers from 1 where there are none.
-    ground : array (N, 3)
-        In the CRS of the request.
-    image : array (N, 2)
-        col, row in pixels.
-    sigmas : array (N,)
-        Pixels.
-
-    Raises
-    ------
-    InputError
-        It is no list of tables, a value is missing or no number, or there are fewer than three points.
-    """
+def _read_points(given: Any, where: str) -> tuple[list[str], FloatArray, FloatArray, FloatArray]:
+    """Names, ground (N, 3), image (N, 2) and sigmas (N,), both pixels, of three or more tables of control points."""
     if isinstance(given, str) or not isinstance(given, Sequence):
         raise SensorInputError(
             f"points = {given!r} is not a list of tables",
@@ -145,7 +121,7 @@ def resect_photo(
             where=where,
             hint="leave it out",
         )
-    names, known, image, sigmas = read_points(options["points"], where)
+    names, known, image, sigmas = _read_points(options["points"], where)
     # Three points allow up to four places of the camera, and only a rough position tells them apart.
     near = options.get("position")
     if near is not None:

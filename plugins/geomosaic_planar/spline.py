@@ -60,19 +60,8 @@ class Solved(NamedTuple):
     omissions: FloatArray
 
 
-def bordered(nodes: FloatArray) -> FloatArray:
-    """Bordered matrix of the spline: conditions at the nodes, and on the weights.
-
-    Parameters
-    ----------
-    nodes : array (N, 2)
-        Normalised ground u, v.
-
-    Returns
-    -------
-    array (N + 3, N + 3)
-        [[φ(rᵢⱼ), 1, u, v], [1ᵀ, 0, 0, 0], [uᵀ, 0, 0, 0], [vᵀ, 0, 0, 0]]; symmetric, indefinite.
-    """
+def _bordered(nodes: FloatArray) -> FloatArray:
+    """Bordered matrix [[φ(rᵢⱼ), 1, u, v], [1ᵀ, 0, 0, 0], [uᵀ, 0, 0, 0], [vᵀ, 0, 0, 0]] of normalised nodes (N, 2)."""
     count = len(nodes)
     matrix = np.zeros((count + 3, count + 3))
     matrix[:count, :count] = _radial(nodes, nodes)
@@ -156,7 +145,7 @@ def solve(nodes: FloatArray, image: FloatArray, where: str | None = None) -> Sol
     SolveError
         The matrix is singular to rounding.
     """
-    matrix = bordered(nodes)
+    matrix = _bordered(nodes)
     right = np.vstack([image, np.zeros((3, 2))])
     try:
         inverse: FloatArray = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
@@ -363,7 +352,7 @@ def influence(nodes: FloatArray, uv: FloatArray) -> FloatArray:
         Without unit, the same for col and row; each line sums to 1.
     """
     row = np.column_stack([_radial(uv, nodes), np.ones(len(uv)), uv])
-    shares = np.linalg.solve(bordered(nodes), row.T)[: len(nodes)].T
+    shares = np.linalg.solve(_bordered(nodes), row.T)[: len(nodes)].T
     return np.asarray(shares, dtype=np.float64)
 
 

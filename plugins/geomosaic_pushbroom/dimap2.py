@@ -24,26 +24,8 @@ from geomosaic_pushbroom.reported import (
 )
 
 
-def triples(points: list[Element], name: str, where: str) -> FloatArray:
-    """Triples of numbers of several elements.
-
-    Parameters
-    ----------
-    points : list of Element
-    name : str
-        Path of the element that holds them, below each.
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    array (K, 3)
-
-    Raises
-    ------
-    InputError
-        An element has more or fewer than three numbers.
-    """
+def _triples(points: list[Element], name: str, where: str) -> FloatArray:
+    """Triples (K, 3) of numbers of several elements."""
     rows = [numbers(point, name, where) for point in points]
     odd = [row for row in rows if len(row) != 3]
     if odd:
@@ -52,30 +34,10 @@ def triples(points: list[Element], name: str, where: str) -> FloatArray:
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 
-def quaternion_path(
+def _quaternion_path(
     orbit: Orbit, element: Element, part: str, middle: tuple[int, float], half: float, where: str
 ) -> QuaternionPath:
-    """Attitude by polynomials over (second of the day − OFFSET) / SCALE.
-
-    Parameters
-    ----------
-    orbit : Orbit
-    element : Element
-        With OFFSET and SCALE.
-    part : str
-        Path of component `{}` of the quaternion below it.
-    middle : tuple
-        Day and second of the middle of the scene.
-    half : float
-        Seconds from there to its ends.
-    where : str
-        Named in errors.
-
-    Raises
-    ------
-    InputError
-        They are no attitude over the scene.
-    """
+    """Attitude by polynomials over (second of the day − OFFSET) / SCALE, `part` the path of component `{}`."""
     powers = [numbers(element, f"{part.format(i)}/COEFFICIENTS", where) for i in range(4)]
     offset, scale = (number(element, name, where) for name in ("OFFSET", "SCALE"))
     quaternion = np.zeros((max(1, *map(len, powers)), 4))
@@ -127,10 +89,10 @@ def read_pleiades(root: Element, where: str) -> SceneMetadata:
     middle = (first[0], first[1] + half)
     points = model.findall("Sensor_Ephemeris/Point_List/Point")
     times = since_times([text(point, "UTC_TIME", where) for point in points], where, middle)
-    xyz, speed = (triples(points, name, where) for name in ("LOCATION_VALUES", "VELOCITY_VALUES"))
+    xyz, speed = (_triples(points, name, where) for name in ("LOCATION_VALUES", "VELOCITY_VALUES"))
     orbit = Orbit.through(times, xyz, speed, where)
     attitudes = find(model, "Sensor_Attitudes", where)
-    path = quaternion_path(orbit, attitudes, "Polynomial_Models/Q{}", middle, half, where)
+    path = _quaternion_path(orbit, attitudes, "Polynomial_Models/Q{}", middle, half, where)
     look, notes = _line(model, size[0], where)
     title = f"Pléiades, {text(model, 'UTC_Sensor_Model_Range/START', where)[:10]}"
     return SceneMetadata(title, path, look, period, 0.5 + half / period, size, AGILE, notes)
@@ -238,7 +200,7 @@ def _orbit(model: Element, middle: tuple[int, float], half: float, where: str) -
     """Orbit over the scene."""
     points = model.findall("Ephemeris/Point_List/Point")
     times = since_times([text(point, "TIME", where) for point in points], where, middle)
-    xyz, speed = (triples(points, name, where) for name in ("LOCATION_XYZ", "VELOCITY_XYZ"))
+    xyz, speed = (_triples(points, name, where) for name in ("LOCATION_XYZ", "VELOCITY_XYZ"))
     return orbit_about(times, xyz, speed, half, where)
 
 
@@ -282,7 +244,7 @@ def orbit_about(times: FloatArray, xyz: FloatArray, speed: FloatArray, half: flo
 def _attitude(model: Element, orbit: Orbit, middle: tuple[int, float], half: float, where: str) -> Path:
     polynomials = model.find("Attitudes/Polynomial_Quaternions")
     if polynomials is not None:
-        return quaternion_path(orbit, polynomials, "Q{}", middle, half, where)
+        return _quaternion_path(orbit, polynomials, "Q{}", middle, half, where)
     rows = model.findall("Attitudes/Quaternion_List/Quaternion")
     if len(rows) < 2:
         find(model, "Attitudes/Quaternion_List/Quaternion", where)

@@ -105,7 +105,7 @@ class Orbit:
     def rates(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rates of change (N, 3) of the positions and velocities of `at`."""
         u = times[:, None] / self.span
-        return horner_slope(self.position, u) / self.span, horner_slope(self.velocity, u) / self.span
+        return _horner_slope(self.position, u) / self.span, _horner_slope(self.velocity, u) / self.span
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -143,19 +143,8 @@ def horner(coefficients: FloatArray, u: FloatArray) -> FloatArray:
     return result
 
 
-def horner_slope(coefficients: FloatArray, u: FloatArray) -> FloatArray:
-    """Derivatives of `horner` by u.
-
-    Parameters
-    ----------
-    coefficients : array (K, D)
-        Lowest power first.
-    u : array (N, 1)
-
-    Returns
-    -------
-    array (N, D)
-    """
+def _horner_slope(coefficients: FloatArray, u: FloatArray) -> FloatArray:
+    """Derivatives (N, D) of `horner` by u."""
     if len(coefficients) == 1:
         return np.zeros((len(u), coefficients.shape[1]))
     return horner(coefficients[1:] * np.arange(1, len(coefficients))[:, None], u)
@@ -387,7 +376,7 @@ class QuaternionPath:
     def rates(self, times: FloatArray) -> Pose:
         """Rates of change of the pose per second at times (N,)."""
         u = (times[:, None] - self.offset) / self.scale
-        q, speeds = horner(self.quaternion, u), horner_slope(self.quaternion, u) / self.scale
+        q, speeds = horner(self.quaternion, u), _horner_slope(self.quaternion, u) / self.scale
         return satellite_rates(self.orbit.rates(times)[0], q, speeds)
 
     def to_dict(self) -> dict[str, Any]:

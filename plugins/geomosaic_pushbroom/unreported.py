@@ -30,18 +30,11 @@ from geomosaic_pushbroom.points import ImageControl, need_crs, with_control
 from geomosaic_pushbroom.pose import LookDirections
 
 
-def contradicting_points(ground: FloatArray, colrow: FloatArray) -> BoolArray:
+def _contradicting_points(ground: FloatArray, colrow: FloatArray) -> BoolArray:
     """Control points (N,) that contradict a parallel projection of the others.
 
     A flight bends towards a wrong point and hides it; a parallel projection, with squares of east and north where there
     are points enough, is stiff.
-
-    Parameters
-    ----------
-    ground : array (N, 3)
-        East, north, up in metres.
-    colrow : array (N, 2)
-        Pixels.
     """
     off = (ground - ground.mean(axis=0)) / np.abs(ground - ground.mean(axis=0)).max()
     e, n, u = off.T
@@ -113,7 +106,7 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
     additional = _additional(options.get("additional"), len(control), where)
     crs = need_crs(request)
     frame = LocalFrame.at(crs, np.array([*control.xyz.mean(axis=0)])[None])
-    suspects = contradicting_points(frame.to_enu(Transform(crs, ECEF)(control.xyz)), control.colrow)
+    suspects = _contradicting_points(frame.to_enu(Transform(crs, ECEF)(control.xyz)), control.colrow)
     try:
         found = _flight(request, control, frame, suspects, additional)
         # A suspect that the flight of the others meets takes part from the start.

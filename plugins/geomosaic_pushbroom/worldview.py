@@ -22,14 +22,8 @@ _WGS84 = np.array([6378137.0, 6378137.0, 6356752.314245])
 _RPC = "use the sensor 'rpc', whose polynomials the same file has"
 
 
-def has_physical_model(root: Element) -> bool:
-    """Whether a document has ephemeris, attitudes and camera.
-
-    Parameters
-    ----------
-    root : Element
-        Of a DigitalGlobe document.
-    """
+def _has_physical_model(root: Element) -> bool:
+    """Whether a DigitalGlobe document has ephemeris, attitudes and camera."""
     return all(root.find(part) is not None for part in ("EPH", "ATT", "GEO"))
 
 
@@ -56,7 +50,7 @@ def read_worldview(root: Element, where: str, band: str | None = None) -> SceneM
     satellite (forward, right, to the ground) to geocentric ones, and QCS those of the camera to the satellite's.
     Detector k of the line, from 0, is at DETORIGIN + DETPITCH · R(DETROTANGLE) · (0, −k) mm, at the distance PD.
     """
-    if not has_physical_model(root) or root.find(".//MAP_PROJECTED_PRODUCT") is not None:
+    if not _has_physical_model(root) or root.find(".//MAP_PROJECTED_PRODUCT") is not None:
         raise InputError(
             "this product has no ephemeris, attitudes and camera, or was rectified: its rows are no scan lines",
             where=where,

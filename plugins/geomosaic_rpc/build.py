@@ -146,19 +146,8 @@ class FoundRpc:
     fields: RpcFields
 
 
-def own_rpc(path: str) -> FoundRpc | None:
-    """RPC that GDAL reports for an image, from its tags or from what it finds beside it.
-
-    Parameters
-    ----------
-    path : str
-        Image file.
-
-    Raises
-    ------
-    InputError
-        A value of the RPC is no number.
-    """
+def _own_rpc(path: str) -> FoundRpc | None:
+    """RPC that GDAL reports for an image, from its tags or from what it finds beside it."""
     fields = _rpc_tags(read_rpc_tags(path), path)
     return None if fields is None else FoundRpc(OWN, fields)
 
@@ -204,27 +193,9 @@ def _named(path: Path) -> tuple[list[Path], list[Path]]:
     return _distinct(files), [file for file in _distinct(maybe) if not file.samefile(path)]
 
 
-def find_rpc(path: str, where: str) -> FoundRpc:
-    """RPC of an image: the one that it carries or that lies beside it.
-
-    Parameters
-    ----------
-    path : str
-        Image file.
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    FoundRpc
-        The first where several agree within 0.001 px over the scene.
-
-    Raises
-    ------
-    InputError
-        There is none, or there are several that differ.
-    """
-    every = [one for one in (*_rpc_beside(Path(path)), own_rpc(path)) if one is not None]
+def _find_rpc(path: str, where: str) -> FoundRpc:
+    """RPC of an image, that it carries or that lies beside it: the first of several that agree within 0.001 px."""
+    every = [one for one in (*_rpc_beside(Path(path)), _own_rpc(path)) if one is not None]
     if not every:
         raise InputError(
             "the image carries no RPC, and none lies beside it",
@@ -324,8 +295,8 @@ def _chosen(request: SensorRequest) -> FoundRpc:
             hint="give rpc = FILE",
         )
     if named is None:
-        return find_rpc(request.path, request.image)
-    own = own_rpc(request.path)
+        return _find_rpc(request.path, request.image)
+    own = _own_rpc(request.path)
     if own is None:
         raise InputError("the image carries no RPC", where=request.image, hint="name its file: rpc = FILE")
     return own

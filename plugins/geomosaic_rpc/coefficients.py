@@ -53,19 +53,8 @@ def terms(lph: FloatArray) -> FloatArray:
     return out
 
 
-def slopes(lph: FloatArray) -> FloatArray:
-    """Derivatives of the cubic terms.
-
-    Parameters
-    ----------
-    lph : array (N, 3)
-        Normalised longitude, latitude, height.
-
-    Returns
-    -------
-    array (3, 20, N)
-        By L, P and H.
-    """
+def _slopes(lph: FloatArray) -> FloatArray:
+    """Derivatives (3, 20, N) of the cubic terms by L, P and H."""
     out = np.zeros((3, COUNT, len(lph)))
     L, P, H = lph.T
     by_l, by_p, by_h = out
@@ -199,7 +188,7 @@ class Rpc:
         values = combine(self.coefficients, terms(lph))
         image, good = self._divided(values)
         by_ground = np.empty((len(lph), 2, 3))
-        for axis, each in enumerate(slopes(lph)):
+        for axis, each in enumerate(_slopes(lph)):
             change = combine(self.coefficients, each)
             for k in range(2):
                 top, bottom = values[2 * k], values[2 * k + 1]

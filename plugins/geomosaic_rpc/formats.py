@@ -140,30 +140,8 @@ def rpc_number(text: str, name: str, where: str) -> float:
     return value
 
 
-def numbered(found: Mapping[str, str], first: int, digits: int, where: str) -> dict[str, list[float]]:
-    """Polynomials whose coefficients stand one by one, as NAME_1 ... NAME_20 or NAME_00 ... NAME_19.
-
-    Parameters
-    ----------
-    found : mapping
-        Texts by key.
-    first : int
-        Number of the first coefficient, 0 or 1.
-    digits : int
-        Least digits of the number in the key.
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    dict of list
-        Twenty numbers each of `POLYNOMIALS`.
-
-    Raises
-    ------
-    InputError
-        A coefficient is missing or no number.
-    """
+def _numbered(found: Mapping[str, str], first: int, digits: int, where: str) -> dict[str, list[float]]:
+    """Polynomials whose twenty coefficients stand one by one, as NAME_1 ... NAME_20 or NAME_00 ... NAME_19."""
     out = {}
     for name in POLYNOMIALS:
         keys = [f"{name}_{first + i:0{digits}d}" for i in range(COUNT)]
@@ -211,7 +189,7 @@ def rpc_txt(text: str, where: str) -> RpcFields:
                     f"{name} is in '{unit.strip()[:20]}', not in pixels, degrees or metres", where=where, hint=_HINT
                 )
             numbers[name] = rpc_number(value, name, where)
-    return RpcFields("RPC.TXT", numbers, numbered(found, 1, 1, where))
+    return RpcFields("RPC.TXT", numbers, _numbered(found, 1, 1, where))
 
 
 _IDENTITY = "ossim2dTo2dIdentityTransform"
@@ -261,7 +239,7 @@ def ossim(text: str, where: str) -> RpcFields:
     for name, key in (("ERR_BIAS", "BIAS_ERROR"), ("ERR_RAND", "RAND_ERROR")):
         if key in found:
             numbers[name] = rpc_number(found[key], key, where)
-    return RpcFields("OSSIM", numbers, numbered(found, 0, 2, where))
+    return RpcFields("OSSIM", numbers, _numbered(found, 0, 2, where))
 
 
 def rpb(text: str, where: str) -> RpcFields:
@@ -284,7 +262,7 @@ def rpb(text: str, where: str) -> RpcFields:
         head, equals, value = statement.rpartition("=")  # before it there may be a line without semicolon
         if equals and head.split():
             _once(found, head.split()[-1], value.strip().strip('"'), where)
-    specification(found.get("SpecId", found.get("specId", "RPC00B")), where)
+    _specification(found.get("SpecId", found.get("specId", "RPC00B")), where)
     numbers = {
         name: rpc_number(found[key], key, where)
         for name, key in _RPB_NAMES.items()
@@ -298,21 +276,8 @@ def rpb(text: str, where: str) -> RpcFields:
     return RpcFields("RPB", numbers, polynomials)
 
 
-def specification(name: str, where: str) -> None:
-    """Check that polynomials have the terms of RPC00B.
-
-    Parameters
-    ----------
-    name : str
-        Specification that the file names.
-    where : str
-        Named in errors.
-
-    Raises
-    ------
-    InputError
-        It is another one, such as RPC00A.
-    """
+def _specification(name: str, where: str) -> None:
+    """Check that polynomials have the terms of RPC00B."""
     if name.strip().upper() != "RPC00B":
         raise InputError(f"the polynomials are '{name.strip()[:20]}', not RPC00B", where=where, hint=_other())
 
@@ -384,7 +349,7 @@ def _dimap(root: Element, where: str) -> RpcFields:
         )
     title = _find(root, "RESOURCE_ID")
     if title is not None:
-        specification(title.text or "", where)
+        _specification(title.text or "", where)
     found = {child.tag: (child.text or "").strip() for child in inverse}
     validity = _find(model, "RFM_Validity")
     for child in () if validity is None else validity:
@@ -392,7 +357,7 @@ def _dimap(root: Element, where: str) -> RpcFields:
     numbers = {name: rpc_number(found[name], name, where) for name in SCALARS if name in found}
     profile = _find(root, "METADATA_PROFILE")
     name = f"DIMAP {(profile.text or '').strip()}" if profile is not None else "DIMAP"
-    return RpcFields(name if name in FIRST_PIXEL else "DIMAP", numbers, numbered(found, 1, 1, where))
+    return RpcFields(name if name in FIRST_PIXEL else "DIMAP", numbers, _numbered(found, 1, 1, where))
 
 
 def _dimap_phr(root: Element, where: str) -> RpcFields:
@@ -433,7 +398,7 @@ def _digital_globe(root: Element, where: str) -> RpcFields:
     if image is None:
         raise InputError("this DigitalGlobe document has no RPB part", where=where, hint="give the file .RPB")
     spec = _find(image, "SPECID")
-    specification("RPC00B" if spec is None else spec.text or "", where)
+    _specification("RPC00B" if spec is None else spec.text or "", where)
     found = {child.tag: (child.text or "").strip() for child in image.iter()}
     names = {name: name.replace("_OFF", "OFFSET").replace("_", "") for name in SCALARS}
     names |= {"ERR_BIAS": "ERRBIAS", "ERR_RAND": "ERRRAND"}

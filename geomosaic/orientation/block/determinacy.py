@@ -50,15 +50,8 @@ class Part:
     free: tuple[str, ...]
 
 
-def parts_of(problem: BlockProblem, state: BlockState) -> list[Part]:
-    """Parts of a block with their datum, the largest first.
-
-    Parameters
-    ----------
-    problem : BlockProblem
-    state : BlockState
-        First values.
-    """
+def _parts_of(problem: BlockProblem, state: BlockState) -> list[Part]:
+    """Parts of a block, at its first values, with their datum, the largest first."""
     groups = [
         weighted(group.linearised(state, problem.unknowns, problem.frame), weight)
         for group, weight in zip(problem.groups, state.weights, strict=True)
@@ -122,7 +115,7 @@ def _free(
         design.append(sparse.csr_array((values, (rows, cols)), shape=(len(change), len(columns))))
         moved.append(change)
     a, b = sparse.csr_array(sparse.vstack(design)), np.vstack(moved)
-    # A turn about a line on which all points lie moves none of them: `undetermined_images` tells what images say to it.
+    # A turn about a line through all points moves none of them: `_undetermined_images` tells what images say of it.
     motion = generators[points].reshape(-1, 7)
     lengths, axes = np.linalg.eigh(motion.T @ motion / len(points))
     axes = axes[:, lengths > UNMOVED]
@@ -191,15 +184,8 @@ def _left(a: sparse.csr_array, b: FloatArray) -> FloatArray:
     return left
 
 
-def undetermined_images(problem: BlockProblem, state: BlockState) -> IntArray:
-    """Images whose own parameters their points do not determine, wherever these lie.
-
-    Parameters
-    ----------
-    problem : BlockProblem
-    state : BlockState
-        First values.
-    """
+def _undetermined_images(problem: BlockProblem, state: BlockState) -> IntArray:
+    """Images whose own parameters their points, at first values, do not determine, wherever these lie."""
     unknowns, count = problem.unknowns, len(state.models)
     widths = [int((unknowns.of_group(image) >= 0).sum()) for image in range(count)]
     normals = [np.zeros((width, width)) for width in widths]
@@ -251,7 +237,7 @@ def require_determined(problem: BlockProblem, state: BlockState) -> list[str]:
         Names the parts without a datum and the directions in which they are free; or the images.
     """
     names = problem.unknowns.images
-    parts = parts_of(problem, state)
+    parts = _parts_of(problem, state)
     loose = [] if problem.free and len(parts) == 1 else [part for part in parts if part.free]
     if loose:
         described = "; ".join(f"{_named(names, part.images)}: {_freedom(part)}" for part in loose[:4])
@@ -269,7 +255,7 @@ def require_determined(problem: BlockProblem, state: BlockState) -> list[str]:
             "(`position_sigma`)" + ("" if whole else ", in each part; or join the parts by tie points"),
             parts=() if problem.free else [part.images for part in loose],
         )
-    poor = undetermined_images(problem, state)
+    poor = _undetermined_images(problem, state)
     if len(poor):
         raise SolveError(
             f"the points of {listed((names[image] for image in poor.tolist()), 6)} lie on one line, or are too few: "

@@ -47,7 +47,7 @@ def free_datum(
     scale : bool
         Whether the scale is free as well; no distance was measured then.
     """
-    points = similarity_directions(state.points)[:, :, : 7 if scale else 6]
+    points = _similarity_directions(state.points)[:, :, : 7 if scale else 6]
     count = points.shape[2]
     by_parameters = np.zeros((unknowns.count, count))
     by_point = positions.by_coordinates(views, unknowns)
@@ -136,14 +136,8 @@ def _unobserved(
     return combined
 
 
-def similarity_directions(points: FloatArray) -> FloatArray:
-    """Changes (S, 3, 7) of points (S, 3) by three shifts, three turns and a scale of all of them.
-
-    Parameters
-    ----------
-    points : array (S, 3)
-        In the block's frame, metres.
-    """
+def _similarity_directions(points: FloatArray) -> FloatArray:
+    """Changes (S, 3, 7) of points (S, 3), metres, by three shifts, three turns and a scale of all of them."""
     x, y, z = points.T
     zero, one = np.zeros_like(x), np.ones_like(x)
     columns = [

@@ -203,7 +203,7 @@ class _Start:
                 rays.origins[rows], rays.directions[rows], angle[rows] = image_rays(model, colrow, block.frame)
             elif isinstance(model, HasPose):
                 directions[rows] = model.directions(colrow)
-                angle[rows] = pixel_angles(directions[rows], model.directions(colrow + BESIDE))
+                angle[rows] = _pixel_angles(directions[rows], model.directions(colrow + BESIDE))
         return cls(block, Bearings(block.image, block.point, directions, angle), rays, tolerance)
 
     def run(self, datum: bool) -> tuple[tuple[SensorModel, ...], FloatArray, BoolArray, tuple[str, ...]]:
@@ -402,7 +402,7 @@ def image_rays(model: SensorModel, colrow: FloatArray, frame: LocalFrame) -> tup
     origins, directions = _lines(model, colrow, frame)
     next_origins, next_directions = _lines(model, colrow + BESIDE, frame)
     # Lines of a sensor without rays do not start at one place: what counts is how far apart they are on the ground.
-    angle = pixel_angles(directions + origins / FAR, next_directions + next_origins / FAR)
+    angle = _pixel_angles(directions + origins / FAR, next_directions + next_origins / FAR)
     return origins, directions, angle
 
 
@@ -443,14 +443,8 @@ def at_level(model: SensorModel, colrow: FloatArray, frame: LocalFrame, level: f
     return places
 
 
-def pixel_angles(directions: FloatArray, beside: FloatArray) -> FloatArray:
-    """Median angle in radians between directions (N, 3) a pixel apart; one for an image, which a lens's edge bends.
-
-    Parameters
-    ----------
-    directions, beside : array (N, 3)
-        Unit directions of pixels, and of the next ones.
-    """
+def _pixel_angles(directions: FloatArray, beside: FloatArray) -> FloatArray:
+    """Median angle in radians between unit directions (N, 3) a pixel apart: one for an image, as lenses bend edges."""
     return np.full(len(directions), np.nanmedian(np.linalg.norm(directions - beside, axis=1)))
 
 

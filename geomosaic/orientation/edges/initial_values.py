@@ -70,7 +70,7 @@ def common_ground(problem: EdgeProblem, models: list[SensorModel], from_photos: 
         Photos whose view of common points counts.
     """
     s = problem.stations
-    places = ground_of(problem, models)
+    places = _ground_of(problem, models)
     places[~from_photos[s.photo]] = np.nan
     ground = s.xyz.copy()
     for station in np.flatnonzero(np.isinf(s.sigma)):
@@ -81,15 +81,8 @@ def common_ground(problem: EdgeProblem, models: list[SensorModel], from_photos: 
     return ground
 
 
-def ground_of(problem: EdgeProblem, models: list[SensorModel]) -> FloatArray:
-    """Places (N, 3) on the map of each measurement by its own photo, at the height of its station.
-
-    Parameters
-    ----------
-    problem : EdgeProblem
-    models : list of SensorModel
-        Of the photos.
-    """
+def _ground_of(problem: EdgeProblem, models: list[SensorModel]) -> FloatArray:
+    """Places (N, 3) on the map of each measurement by its own photo, at the height of its station."""
     s = problem.stations
     places = np.full((len(s.photo), 3), np.nan)
     for index, model in enumerate(models):
@@ -169,7 +162,7 @@ def misfit(problem: EdgeProblem, models: list[SensorModel], placed: BoolArray | 
         Photos that have a place; pairs with others are NaN.
     """
     s = problem.stations
-    places = ground_of(problem, models)
+    places = _ground_of(problem, models)
     if placed is not None:
         places[~placed[s.photo]] = np.nan
     ids, pairs, rows = [], [], []

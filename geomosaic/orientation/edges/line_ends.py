@@ -52,7 +52,7 @@ def meeting_ends(ends: LineEnds, tolerance: float) -> list[IntArray]:
     """
     from scipy.spatial import cKDTree
 
-    first, second = candidate_pairs(ends, tolerance)
+    first, second = _candidate_pairs(ends, tolerance)
     order = np.lexsort((second, first, np.hypot(*(ends.xy[first] - ends.xy[second]).T)))
     group = {number: [number] for number in range(len(ends.xy))}
     for a, b in zip(first[order].tolist(), second[order].tolist(), strict=True):
@@ -72,15 +72,8 @@ def meeting_ends(ends: LineEnds, tolerance: float) -> list[IntArray]:
     return [np.array(sorted(each)) for each in found.values()]
 
 
-def candidate_pairs(ends: LineEnds, tolerance: float) -> tuple[IntArray, IntArray]:
-    """Pairs of ends within the tolerance that may be one place.
-
-    Parameters
-    ----------
-    ends : LineEnds
-    tolerance : float
-        Map units.
-    """
+def _candidate_pairs(ends: LineEnds, tolerance: float) -> tuple[IntArray, IntArray]:
+    """Pairs of ends within the tolerance (map units) that may be one place."""
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(ends.xy).query_pairs(tolerance, output_type="ndarray") if len(ends.xy) else np.empty((0, 2), int)

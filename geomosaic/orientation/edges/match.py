@@ -24,14 +24,8 @@ from geomosaic.sensor.solve import expected_errors
 from geomosaic.types import BoolArray, FloatArray
 
 
-def search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[BlunderReport, list[MeasurementKey]]:
-    """Blunders in a solution, and their keys (point, photo), None for coordinates.
-
-    Parameters
-    ----------
-    problem : EdgeProblem
-    solution : EdgeSolution
-    """
+def _search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[BlunderReport, list[MeasurementKey]]:
+    """Blunders in a solution, and their keys (point, photo), None for coordinates."""
     s = problem.stations
     images = [problem.photos[k] for k in s.photo]
     shifts, labels, keys = candidate_shifts(
@@ -41,18 +35,10 @@ def search_blunders(problem: EdgeProblem, solution: EdgeSolution) -> tuple[Blund
     return report, [keys[each.shift] for each in report.blunders]
 
 
-def without_measurements(
+def _without_measurements(
     control: Sequence[ControlPoint], common: Sequence[CommonPoint], left: Sequence[MeasurementKey]
 ) -> tuple[list[ControlPoint], list[CommonPoint]]:
-    """Points without blunders; control with rejected coordinates becomes common, a lone common point goes too.
-
-    Parameters
-    ----------
-    control : sequence of ControlPoint
-    common : sequence of CommonPoint
-    left : sequence of MeasurementKey
-        Measurements to leave out.
-    """
+    """Points without blunders; control with rejected coordinates becomes common, a lone common point goes too."""
     out, places = set(left), {name for name, image in left if image is None}
     points = [p for p in control if (p.id, p.image) not in out]
     shared = [p for p in common if (p.id, p.image) not in out]
@@ -198,14 +184,14 @@ def match_edges(
         )
     map_ = map_crs(photos, crs)
     problem, alone, fitted, solution = _solved(photos, control, common, map_)
-    found, left = search_blunders(problem, solution)
+    found, left = _search_blunders(problem, solution)
     found.enforce(tables, policy)
     for _ in range(ROUNDS if policy == "leave" else 0):
         if not left:
             break
-        control, common = without_measurements(control, common, left)
+        control, common = _without_measurements(control, common, left)
         problem, alone, fitted, solution = _solved(photos, control, common, map_)
-        more, left = search_blunders(problem, solution)  # what the gross ones hid
+        more, left = _search_blunders(problem, solution)  # what the gross ones hid
         more.enforce(tables, policy)
         found = replace(more, blunders=(*found.blunders, *more.blunders))
     grids = _grids(problem, solution, reach)

@@ -152,16 +152,8 @@ def known_points(
     return found, tuple(name for name in transforms if name in to)
 
 
-def merged(ties: Sequence[Control], control: Sequence[Control]) -> list[Control]:
-    """Points from the part made before, and from the map; of a point that comes from both, the map's place.
-
-    Parameters
-    ----------
-    ties : sequence of Control
-        Tie points at their mean positions in photos made before.
-    control : sequence of Control
-        Control points of the map.
-    """
+def _merged(ties: Sequence[Control], control: Sequence[Control]) -> list[Control]:
+    """Points from the part made before, and from the map; of a point that comes from both, the map's place."""
     from_map = {point.id for point in control}
     return [*(point for point in ties if point.id not in from_map), *control]
 
@@ -236,7 +228,7 @@ def grow(block: PlanarBlock, kind: str = "affine", *, start: str | None = None, 
     waiting = [photo.name for photo in block.photos]
     found: dict[str, tuple[list[Control], tuple[str, ...]]] = {first: ([], ())}
     while waiting:
-        points = {name: merged(seen, control[name]) for name, (seen, _) in found.items()}
+        points = {name: _merged(seen, control[name]) for name, (seen, _) in found.items()}
         # Next to what is made comes what hangs best on it and on the map.
         near = [name for name, (seen, _) in found.items() if seen] or list(found)
         name = max(near, key=lambda one: (len(points[one]), -waiting.index(one)))

@@ -110,7 +110,7 @@ def delete_points(
     _need_residuals(fit)
     kept, rows = np.arange(len(problem)), list[DeletedPoint]()
     # One point more than needed stays: a fit through all of its points has an RMS of 0 whatever they are.
-    while (worst := _worst(fit, threshold, limits)) is not None and len(kept) > least_points(fit) + 1:
+    while (worst := _worst(fit, threshold, limits)) is not None and len(kept) > _least_points(fit) + 1:
         rest = np.delete(kept, worst)
         try:
             after = fit_problem(problem.subset(rest))
@@ -135,13 +135,8 @@ def _worst(fit: ControlFit, threshold: float | None, limits: tuple[float, float]
     return None
 
 
-def least_points(fit: ControlFit) -> int:
-    """Fewest control points that determine the parameters of a fit: two equations each.
-
-    Parameters
-    ----------
-    fit : ControlFit
-    """
+def _least_points(fit: ControlFit) -> int:
+    """Fewest control points that determine the parameters of a fit: two equations each."""
     return -(-(2 * len(fit.ids) - fit.redundancy) // 2)
 
 
