@@ -76,7 +76,7 @@ def options_of(
     kind: type[Any],
     into: str = "options",
     *,
-    made: bool = True,
+    made: bool = False,
     without: Collection[str] = (),
     only: Collection[str] = (),
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -87,9 +87,9 @@ def options_of(
     kind : type
         Options class, or one composed of such.
     into : str
-        Keyword by which the command receives their value.
+        Keyword by which the command receives what was given, by name; several classes may share it.
     made : bool
-        Whether that is an options value; else a mapping of what was given, by name.
+        Whether the command receives an options value instead.
     without : collection of str
         Names that the command does not have.
     only : collection of str
@@ -105,7 +105,8 @@ def options_of(
             given = {name: value for name, value in given.items() if value not in (None, (), {})}
             if any(one.name == "memory_limit" for one in own):
                 given |= threads_within_memory(given)
-            return function(**flags, **{into: compose(kind, given) if made else given})
+            flags[into] = compose(kind, given) if made else {**flags.get(into, {}), **given}
+            return function(**flags)
 
         decorated: Callable[..., Any] = stack(*(_click_option(one) for one in own))(call)
         return decorated
@@ -226,31 +227,28 @@ PLANAR = tuple(one.name for one in declared(PlanarInputs))
 RANKED = ("acquired", "cloud_cover")
 CHOSEN = ("band_names", "declared_bands", "margin", "usable", "src_nodata", "clouds", "cloud_values", *RANKED)
 
-image_options = options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *CHOSEN))
-area_options = options_of(Area, "area", without=("snap", "like"))
-band_option = options_of(BlockInputs, "chosen", made=False, only=("bands",))
+image_options = options_of(BlockInputs, "inputs", without=(*PLANAR, *CHOSEN))
+area_options = options_of(Area, without=("snap", "like"))
+band_option = options_of(BlockInputs, only=("bands",))
 output_option = stack(click.option("-o", "--output", type=FILE, required=True, help="File to write."), group="output")
 running_options = stack(json_option, debug_option, group="running")
+
+
+def file_options(text: str) -> Callable[[Function], Function]:
+    """Decorator of commands that write one file, and those of running.
+
+    Parameters
+    ----------
+    text : str
+        Help of the file.
+    """
+    return stack(click.option("-o", "--output", type=FILE, required=True, help=text), overwrite_option, running_options)
+
 
 # Options that commands which place photos themselves do not have.
 NOT_BY_RULE = ("rule", "order", "base", "dtype", "convert", "water", "water_fill")
 # Options of accuracy rasters, which commands without covariances of orientations do not have.
 ERRORS = tuple(one.name for one in declared(UncertaintyOptions))
-
-
-def extent(area: Area) -> dict[str, Any]:
-    """Keywords of the library for the extent of an output.
-
-    Parameters
-    ----------
-    area : Area
-
-    Returns
-    -------
-    dict
-        What is given.
-    """
-    return {name: value for name, value in vars(area).items() if value is not None and value is not False}
 
 
 def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:

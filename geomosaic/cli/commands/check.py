@@ -26,8 +26,8 @@ from geomosaic.options.control import CheckOptions, FitOptions
     help="Check points: any file of control, or a table with measured_x, measured_y.",
 )
 @stack(
-    options_of(CheckOptions, made=False),
-    options_of(FitOptions, "policy", made=False, only=("insist",)),
+    options_of(CheckOptions),
+    options_of(FitOptions, "policy", only=("insist",)),
     running_options,
 )
 def command(raster: Path, points: Path, as_json: bool, options: dict[str, Any], policy: dict[str, Any]) -> int:

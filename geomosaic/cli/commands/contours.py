@@ -10,19 +10,16 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, dem_heights_option, json_option, options_of, overwrite_option
+from geomosaic.cli.options import FILE, dem_heights_option, file_options, options_of
 from geomosaic.cli.output import answer, notes
 from geomosaic.options.sheet import ContourOptions
 
 
 @click.command()
 @click.argument("dem", type=FILE)
-@options_of(ContourOptions, made=False)
+@options_of(ContourOptions)
 @dem_heights_option
-@click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
-@overwrite_option
-@json_option
-@debug_option
+@file_options("GeoPackage to write.")
 def command(
     dem: Path,
     dem_heights: str | None,

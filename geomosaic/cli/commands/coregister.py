@@ -5,8 +5,8 @@ Help group: Orthos and mosaics
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -23,7 +23,7 @@ from geomosaic.options.control import CoregisterOptions
 @options_of(CoregisterOptions, without=("true_ortho",))
 @output_option
 @running_options
-def command(image: Path, reference: Path, output: Path, as_json: bool, options: CoregisterOptions) -> None:
+def command(image: Path, reference: Path, output: Path, as_json: bool, options: dict[str, Any]) -> None:
     """Find by how much a georeferenced raster lies beside another of the same land, and draw it there, once.
 
     Both may have any resolution, CRS and season. The output has the pixels of the image, unless --like or the other
@@ -37,8 +37,6 @@ def command(image: Path, reference: Path, output: Path, as_json: bool, options: 
     from geomosaic.products.coregistration import coregister
 
     with notes(), progress(as_json) as report:
-        made = coregister(
-            image, reference, output, **vars(replace(options, render=options.render.with_progress(report)))
-        )
+        made = coregister(image, reference, output, progress=report, **options)
     facts = {name: value for name, value in made.facts.items() if name not in ("places", "field")}
     answer({**ortho_facts(made), **facts}, f"{ortho_text(made)}\n{made.summary}", as_json)

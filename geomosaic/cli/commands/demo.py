@@ -18,7 +18,7 @@ from geomosaic.options.render import RenderOptions
 
 @click.command()
 @click.argument("folder", type=FILE, default="geomosaic-demo")
-@options_of(RenderOptions, only=("threads", "memory_limit"))
+@options_of(RenderOptions, made=True, only=("threads", "memory_limit"))
 @running_options
 def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     """Make a mosaic of the sample block in FOLDER, and compare it with the truth it was made from.

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, extent, options_of, output_option, running_options, stack
+from geomosaic.cli.options import FILE, options_of, output_option, running_options, stack
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_text
@@ -21,15 +21,13 @@ from geomosaic.options.render import RenderOptions
 @grouped_command()
 @click.argument("image", type=FILE)
 @stack(
-    options_of(BlockInputs, "inputs", made=False, only=("bands", "sensor", "options")),
-    options_of(Area, "area", only=("resolution", "bounds")),
+    options_of(BlockInputs, only=("bands", "sensor", "options")),
+    options_of(Area, only=("resolution", "bounds")),
     output_option,
     options_of(RenderOptions, without=("true_ortho",)),
     running_options,
 )
-def command(
-    image: Path, output: Path, as_json: bool, options: RenderOptions, area: Area, inputs: dict[str, Any]
-) -> None:
+def command(image: Path, output: Path, as_json: bool, options: dict[str, Any]) -> None:
     """Remove skew and tangential distortion of a scanned strip, without control.
 
     Nominal numbers of the scanner and its flight are all it takes; `geomosaic sensors panoramic` lists them.
@@ -44,6 +42,5 @@ def command(
     from geomosaic.products.orthos import deskew
 
     with notes(), progress(as_json) as report:
-        nominal, render = inputs.pop("options", {}), options.with_progress(report)
-        result = deskew(image, output, nominal, **inputs, **extent(area), render=render)
+        result = deskew(image, output, options.pop("options", {}), progress=report, **options)
     answer(ortho_facts(result), ortho_text(result), as_json)

@@ -17,7 +17,6 @@ from geomosaic.cli.options import (
     PLANAR,
     RANKED,
     block_of,
-    extent,
     options_of,
     output_option,
     running_options,
@@ -43,8 +42,8 @@ from geomosaic.options.mosaic import MosaicOptions
     help="Largest angle between line of sight and normal that is drawn.",
 )
 @stack(
-    options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *RANKED)),
-    options_of(Area, "area", only=("resolution", "bounds")),
+    options_of(BlockInputs, "inputs", without=(*PLANAR, *RANKED)),
+    options_of(Area, only=("resolution", "bounds")),
     output_option,
     options_of(MosaicOptions, without=(*NOT_BY_RULE, *ERRORS)),
     running_options,
@@ -55,9 +54,8 @@ def command(
     oblique: float,
     output: Path,
     as_json: bool,
-    options: MosaicOptions,
+    options: dict[str, Any],
     inputs: dict[str, Any],
-    area: Area,
 ) -> None:
     """Draw photos of a facade, a tower or a dome on its developed surface, in metres.
 
@@ -72,8 +70,7 @@ def command(
     from geomosaic.developed.develop import develop
 
     with notes(), progress(as_json) as report:
-        block, wanted = block_of(images, inputs), vars(options.with_progress(report))
-        done = develop(block, output, surface, oblique=oblique, **extent(area), **wanted)
+        done = develop(block_of(images, inputs), output, surface, oblique=oblique, progress=report, **options)
     if done.ortho is not None:
         facts, words = ortho_facts(done.ortho), ortho_text(done.ortho).splitlines()[-2:]
     elif done.mosaic is not None:

@@ -8,10 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from geomosaic.cli.options import FILE, debug_option, json_option, options_of, overwrite_option
 from geomosaic.cli.options import command as grouped_command
+from geomosaic.cli.options import file_options, options_of
 from geomosaic.cli.output import answer, notes
 from geomosaic.options.terrain import DtmOptions
 
@@ -20,11 +18,8 @@ if TYPE_CHECKING:
 
 
 @grouped_command()
-@options_of(DtmOptions, made=False)
-@click.option("-o", "--output", type=FILE, required=True, help="GeoTIFF to write.")
-@overwrite_option
-@json_option
-@debug_option
+@options_of(DtmOptions)
+@file_options("GeoTIFF to write.")
 def command(output: Path, overwrite: bool, as_json: bool, options: dict[str, Any]) -> None:
     """Make a DTM from contours, spot heights, breaklines and lakes.
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option, options_of, overwrite_option
+from geomosaic.cli.options import FILE, file_options, options_of
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes
 from geomosaic.options.vector_edges import VectorEdgeOptions
@@ -19,11 +19,8 @@ from geomosaic.options.vector_edges import VectorEdgeOptions
 
 @grouped_command()
 @click.argument("sheets", type=FILE, nargs=-1, required=True, metavar="SHEET SHEET...")
-@options_of(VectorEdgeOptions, made=False)
-@click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
-@overwrite_option
-@json_option
-@debug_option
+@options_of(VectorEdgeOptions)
+@file_options("GeoPackage to write.")
 def command(sheets: tuple[Path, ...], output: Path, overwrite: bool, as_json: bool, options: dict[str, Any]) -> None:
     """Join lines of neighbouring map sheets (vectors) at their edges.
 

@@ -48,8 +48,7 @@ def command(
     crs: str,
     output: Path,
     as_json: bool,
-    options: EdgeMosaicOptions,
-    chosen: dict[str, Any],
+    options: dict[str, Any],
 ) -> None:
     """Adjust photos to control and common points together, join them exactly, and mosaic them.
 
@@ -58,7 +57,7 @@ def command(
     from geomosaic.products.edges import match_edges
 
     with notes(), progress(as_json) as report:
-        done = match_edges(images, output, control, common, crs, **chosen, **vars(options.with_progress(report)))
+        done = match_edges(images, output, control, common, crs, progress=report, **options)
     facts = {**mosaic_facts(done.mosaic), "edges": _facts(done.match)}
     answer(facts, f"{_summary(done.match)}\n{mosaic_text(done.mosaic)}", as_json)
 

@@ -19,9 +19,9 @@ from geomosaic.options.sheet import PAN_METHODS, EnhanceOptions, PanOptions
 
 @grouped_command()
 @click.argument("raster", type=FILE)
-@options_of(EnhanceOptions, made=False)
-@options_of(PanOptions, "panned")
-@options_of(RenderOptions, "common", made=False, only=("driver", "overwrite", "max_output"))
+@options_of(EnhanceOptions)
+@options_of(PanOptions, "panned", made=True)
+@options_of(RenderOptions, "common", only=("driver", "overwrite", "max_output"))
 @output_option
 @running_options
 def command(

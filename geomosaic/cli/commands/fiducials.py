@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option, options_of
+from geomosaic.cli.options import FILE, options_of, running_options
 from geomosaic.cli.output import answer, notes
 from geomosaic.cli.values import Number
 from geomosaic.limits import POSITIVE
@@ -25,11 +25,10 @@ from geomosaic.options.control import SearchOptions
     "--at", type=Number(), nargs=2, metavar="COL ROW", help="Place of a mark in the template, if that is a scan."
 )
 @click.option("--pixel-size", type=Number(limits=POSITIVE), required=True, help="Pixels of the scans, µm.")
-@options_of(SearchOptions, "search", made=False, without=("pixel_size",))
+@options_of(SearchOptions, "search", without=("pixel_size",))
 @click.option("-o", "--output", type=FILE, required=True, help="Table to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the table if it exists.")
-@json_option
-@debug_option
+@running_options
 def command(
     scans: tuple[Path, ...], output: Path, overwrite: bool, as_json: bool, search: dict[str, Any], **flags: Any
 ) -> None:

@@ -5,20 +5,12 @@ Help group: Orthos and mosaics
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from geomosaic.cli.options import (
-    FILE,
-    band_option,
-    options_of,
-    output_option,
-    running_options,
-    stack,
-)
+from geomosaic.cli.options import FILE, band_option, options_of, output_option, running_options, stack
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.options.control import GeoreferenceOptions
@@ -34,9 +26,7 @@ from geomosaic.options.inputs import QualityLimits
     output_option,
     running_options,
 )
-def command(
-    image: Path, output: Path, report: bool, as_json: bool, options: GeoreferenceOptions, chosen: dict[str, Any]
-) -> int:
+def command(image: Path, output: Path, report: bool, as_json: bool, options: dict[str, Any]) -> int:
     """Place an image on the map by control points, and draw it there; or a drawing (DXF, GeoPackage, GeoJSON ...).
 
     Beside the output stands the control report: NAME-control.html for people, .json for programs, .gpkg with the
@@ -66,9 +56,8 @@ def command(
     drawn = is_vector(image)
     try:
         with notes(), progress(as_json) as bars:
-            wanted = replace(options, render=options.render.with_progress(bars))
-            given = {**chosen, **vars(wanted), "report": report}
-            made: Any = (geomosaic.georeference_vectors if drawn else geomosaic.georeference)(image, output, **given)
+            place: Any = geomosaic.georeference_vectors if drawn else geomosaic.georeference
+            made = place(image, output, report=report, progress=bars, **options)
     except BadControlError as error:
         for found in error.diagnostics:
             if found.severity != "error":
@@ -76,7 +65,7 @@ def command(
         raise
     for found in made.solution.diagnostics:
         say(str(found))
-    expected: dict[str, Any] = {} if options.fit.insist else {"accuracy": made.facts["accuracy"]["expected"]}
+    expected: dict[str, Any] = {} if options.get("insist") else {"accuracy": made.facts["accuracy"]["expected"]}
     failure = placement_failure(expected, str(made.path), QualityLimits(), "`insist` accepts it")
     product = made.facts["product"] if drawn else ortho_facts(made.product)
     answer({**product, **made.facts, **quality_facts(failure)}, georeference_text(made), as_json)

@@ -16,20 +16,19 @@ from geomosaic.cli.options import (
     RANKED,
     area_options,
     block_of,
-    extent,
     options_of,
     output_option,
     running_options,
 )
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
-from geomosaic.options.inputs import Area, BlockInputs
+from geomosaic.options.inputs import BlockInputs
 from geomosaic.options.render import RenderOptions
 
 
 @grouped_command()
 @click.argument("image", type=FILE)
-@options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *RANKED))
+@options_of(BlockInputs, "inputs", without=(*PLANAR, *RANKED))
 @area_options
 @output_option
 @click.option("--incidence/--no-incidence", default=True, help="Write the local incidence angles (NAME-incidence.tif).")
@@ -40,9 +39,8 @@ def command(
     output: Path,
     as_json: bool,
     incidence: bool,
-    options: RenderOptions,
+    options: dict[str, Any],
     inputs: dict[str, Any],
-    area: Area,
 ) -> int:
     """Mask layover, shadow and foreshortening of a radar scene, pixel by pixel of its ortho.
 
@@ -56,13 +54,7 @@ def command(
     from geomosaic.products.layover import layover_mask
 
     with notes(), progress(as_json) as report:
-        result = layover_mask(
-            block_of((image,), inputs),
-            output,
-            **extent(area),
-            incidence=incidence,
-            render=options.with_progress(report),
-        )
+        result = layover_mask(block_of((image,), inputs), output, incidence=incidence, progress=report, **options)
     facts = {
         "output": str(result.path), "incidence": None if result.incidence is None else str(result.incidence),
         "known_pixels": result.known, "shares": dict(result.shares),

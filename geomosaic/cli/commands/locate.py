@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import (
-    FILE,
-    block_of,
-    debug_option,
-    image_options,
-    json_option,
-    options_of,
-    overwrite_option,
-    stack,
-)
+from geomosaic.cli.options import FILE, block_of, image_options, options_of, overwrite_option, running_options, stack
 from geomosaic.cli.output import answer, notes
 from geomosaic.cli.values import Number
 from geomosaic.options.control import DrawOptions, LocateOptions, PixelOptions
@@ -34,9 +25,9 @@ locate_options = stack(
     click.option("--image", "name", metavar="NAME", help="Image of the project, where IMAGE is a project file."),
     click.option("--pixel", "pixels", type=Number(), nargs=2, multiple=True, metavar="COL ROW", help="An image point."),
     click.option("--inverse", is_flag=True, help="Draw vectors of the map into the photo."),
-    options_of(PixelOptions, "common", made=False),
-    options_of(LocateOptions, "own", made=False, without=COMMON),
-    options_of(DrawOptions, "drawing", made=False, without=COMMON),
+    options_of(PixelOptions, "common"),
+    options_of(LocateOptions, "own", without=COMMON),
+    options_of(DrawOptions, "drawing", without=COMMON),
     click.option("-o", "--output", type=FILE, help="GeoPackage, GeoJSON, FlatGeobuf or CSV to write."),
     overwrite_option,
 )
@@ -45,7 +36,7 @@ locate_options = stack(
 @click.command()
 @click.argument("image", type=FILE)
 @click.argument("source", type=FILE, required=False)
-@stack(locate_options, image_options, json_option, debug_option)
+@stack(locate_options, image_options, running_options)
 def command(
     image: Path,
     source: Path | None,

@@ -28,8 +28,8 @@ from geomosaic.options.tie_points import TiePointOptions
 
 @grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
-@options_of(TiePointOptions, "matching", made=False)
-@options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *RANKED))
+@options_of(TiePointOptions, "matching")
+@options_of(BlockInputs, "inputs", without=(*PLANAR, *RANKED))
 @output_option
 @overwrite_option
 @running_options

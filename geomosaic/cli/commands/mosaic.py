@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, block_of, extent, options_of, output_option, running_options
+from geomosaic.cli.options import FILE, block_of, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import (
@@ -28,9 +28,9 @@ from geomosaic.options.mosaic import MosaicOptions
 
 @grouped_command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
-@options_of(BlockInputs, "inputs", made=False)
-@options_of(QualityLimits, "limits", only=("max_corner_sigma_px",))
-@options_of(Area, "area", without=("snap",))
+@options_of(BlockInputs, "inputs")
+@options_of(QualityLimits, "limits", made=True, only=("max_corner_sigma_px",))
+@options_of(Area, without=("snap",))
 @output_option
 @options_of(MosaicOptions)
 @running_options
@@ -38,9 +38,8 @@ def command(
     images: tuple[Path, ...],
     output: Path,
     as_json: bool,
-    options: MosaicOptions,
+    options: dict[str, Any],
     inputs: dict[str, Any],
-    area: Area,
     limits: QualityLimits,
 ) -> int:
     """Make one mosaic from raw or georeferenced images, each pixel resampled once.
@@ -57,12 +56,12 @@ def command(
 
     with notes():
         block = block_of(images, inputs)
-        others = {"`reference`": options.colours.reference, **rasters_of_earlier_run(output)}
+        others = {"`reference`": options.get("reference"), **rasters_of_earlier_run(output)}
         block = replace(block, images=leave_out(block.images, others))
     if block.control is not None and block.planar is None and block.sensor == plane_sensor():
         raise InputError("`control` is given without `kind`", hint="give `kind`, or leave out `control`")
     with notes(), progress(as_json) as report:
-        made = mosaic(block, output, **extent(area), **vars(options.with_progress(report)))
+        made = mosaic(block, output, progress=report, **options)
     failure = placement_failure(made.placement, str(made.path), limits) or accuracy_failure(made.accuracy)
     answer(mosaic_facts(made) | quality_facts(failure), mosaic_text(made), as_json)
     return verdict(failure, as_json)

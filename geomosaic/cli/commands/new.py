@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import CHOSEN, FILE, debug_option, json_option, options_of
+from geomosaic.cli.options import CHOSEN, FILE, block_of, options_of, running_options
 from geomosaic.cli.output import answer, notes, translated
 from geomosaic.options.inputs import BlockInputs
 from geomosaic.options.tie_points import TiePointOptions
@@ -32,11 +32,10 @@ def _project_file(ctx: click.Context, param: click.Parameter, value: Path) -> Pa
 @click.command()
 @click.argument("project", type=FILE, callback=_project_file, metavar="PROJECT.toml")
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE_OR_FOLDER...")
-@options_of(BlockInputs, "inputs", made=False, without=UNWRITTEN)
-@options_of(TiePointOptions, "matching", made=False, only=("reference",))
+@options_of(BlockInputs, "inputs", without=UNWRITTEN)
+@options_of(TiePointOptions, "matching", only=("reference",))
 @click.option("--overwrite", is_flag=True, help="Replace the project file if it exists.")
-@json_option
-@debug_option
+@running_options
 def command(
     project: Path,
     images: tuple[Path, ...],
@@ -53,7 +52,6 @@ def command(
     is read off the columns of the table or off what the program that wrote it calls it, and said. With --reference
     photos and scans that nothing places get their control points from an ortho or a mosaic of the land.
     """
-    from geomosaic.cli.options import block_of
     from geomosaic.project.drafts import new_project
 
     with notes():

@@ -16,7 +16,6 @@ from geomosaic.cli.options import (
     RANKED,
     area_options,
     block_of,
-    extent,
     options_of,
     output_option,
     running_options,
@@ -24,14 +23,14 @@ from geomosaic.cli.options import (
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import accuracy_failure, ortho_facts, ortho_text, placement_failure, quality_facts, verdict
-from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
+from geomosaic.options.inputs import BlockInputs, QualityLimits
 from geomosaic.options.render import OrthoOptions
 
 
 @grouped_command()
 @click.argument("image", type=FILE)
-@options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *RANKED))
-@options_of(QualityLimits, "limits", only=("max_corner_sigma_px",))
+@options_of(BlockInputs, "inputs", without=(*PLANAR, *RANKED))
+@options_of(QualityLimits, "limits", made=True, only=("max_corner_sigma_px",))
 @area_options
 @output_option
 @options_of(OrthoOptions)
@@ -40,9 +39,8 @@ def command(
     image: Path,
     output: Path,
     as_json: bool,
-    options: OrthoOptions,
+    options: dict[str, Any],
     inputs: dict[str, Any],
-    area: Area,
     limits: QualityLimits,
 ) -> int:
     """Rectify one image onto a DEM or a height.
@@ -59,8 +57,7 @@ def command(
     from geomosaic.products.orthos import ortho
 
     with notes(), progress(as_json) as report:
-        scene, render = block_of((image,), inputs), options.render.with_progress(report)
-        result = ortho(scene, output, **extent(area), render=render, uncertainty=options.uncertainty)
+        result = ortho(block_of((image,), inputs), output, progress=report, **options)
     failure = placement_failure(result.placement, str(result.path), limits) or accuracy_failure(result.accuracy)
     answer(ortho_facts(result) | quality_facts(failure), ortho_text(result), as_json)
     return verdict(failure, as_json)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import debug_option, json_option, options_of, stack
+from geomosaic.cli.options import debug_option, json_option, options_of, running_options, stack
 from geomosaic.cli.output import answer
 from geomosaic.cli.values import Measure, Scale
 from geomosaic.errors import counted
@@ -108,7 +108,7 @@ for _name, _relations in TOPICS.items():
 
 
 @command.command("flight")
-@stack(options_of(FlightOptions, made=False), json_option, debug_option)
+@stack(options_of(FlightOptions), running_options)
 def flight_command(as_json: bool, options: dict[str, Any]) -> None:
     """Flight for a map of a given scale: height, base, number of photos.
 
@@ -144,7 +144,7 @@ def flight_command(as_json: bool, options: dict[str, Any]) -> None:
 
 
 @command.command("area")
-@stack(options_of(CoverageOptions, made=False), json_option, debug_option)
+@stack(options_of(CoverageOptions), running_options)
 def area_command(as_json: bool, options: dict[str, Any]) -> None:
     """Number of strips and photos that cover a rectangle, or the overlaps that a number of them has.
 
@@ -185,7 +185,7 @@ def _raster_lines(found: Coverage) -> list[str]:
 
 
 @command.command("control")
-@stack(options_of(ControlNeedOptions, made=False), json_option, debug_option)
+@stack(options_of(ControlNeedOptions), running_options)
 def control_command(as_json: bool, options: dict[str, Any]) -> None:
     """Number and layout of control points.
 
@@ -229,7 +229,7 @@ def control_command(as_json: bool, options: dict[str, Any]) -> None:
 
 
 @command.command("product")
-@stack(options_of(ProductOptions, made=False), json_option, debug_option)
+@stack(options_of(ProductOptions), running_options)
 def product_command(as_json: bool, options: dict[str, Any]) -> None:
     """From the quality of a photo map to what its inputs must be.
 
@@ -251,7 +251,7 @@ def product_command(as_json: bool, options: dict[str, Any]) -> None:
 
 
 @command.command("run")
-@stack(options_of(ProcessingOptions, made=False), json_option, debug_option)
+@stack(options_of(ProcessingOptions), running_options)
 def run_command(as_json: bool, options: dict[str, Any]) -> None:
     """Time, memory, bytes and cost of processing a block.
 
@@ -312,7 +312,7 @@ def _range(least: float | None, most: float | None, unit: str) -> str:
 
 
 @command.command("tables")
-@stack(options_of(TableOptions, made=False), json_option, debug_option)
+@stack(options_of(TableOptions), running_options)
 def tables_command(as_json: bool, options: dict[str, Any]) -> None:
     """Tables of K-2.8 for any scale: heights, grid intervals, pixels, radial shifts, accuracy.
 

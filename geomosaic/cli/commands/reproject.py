@@ -24,17 +24,12 @@ if TYPE_CHECKING:
 @grouped_command()
 @click.argument("source", type=FILE, nargs=-1, required=True, metavar="INPUT...")
 @click.option("--src-crs", metavar="CRS", help="CRS of the input, instead of what the file says.")
-@options_of(Area, "area")
+@options_of(Area)
 @output_option
-@options_of(RenderOptions, "render", made=False, without=("true_ortho",))
+@options_of(RenderOptions, without=("true_ortho",))
 @running_options
 def command(
-    source: tuple[Path, ...],
-    src_crs: str | None,
-    output: Path,
-    as_json: bool,
-    area: Area,
-    render: dict[str, Any],
+    source: tuple[Path, ...], src_crs: str | None, output: Path, as_json: bool, options: dict[str, Any]
 ) -> None:
     """Bring a georeferenced raster, or a file of vectors, to another CRS; several rasters as one of all their bands.
 
@@ -50,7 +45,7 @@ def command(
     from geomosaic.reprojection import VectorResult
 
     with notes(), progress(as_json) as report:
-        made = reproject(source, output, src_crs=src_crs, **vars(area), **{**render, "progress": report})
+        made = reproject(source, output, src_crs=src_crs, progress=report, **options)
     if isinstance(made, VectorResult):
         facts = {"output": str(made.path), "layers": made.layers, "lost": made.lost, "cut": made.cut}
         words = _vector_text(made)

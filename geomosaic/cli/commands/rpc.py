@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, block_of, debug_option, image_options, json_option, options_of, stack
+from geomosaic.cli.options import FILE, block_of, image_options, options_of, running_options, stack
 from geomosaic.cli.output import answer, notes
 from geomosaic.options.control import RpcOptions, TieOptions
 from geomosaic.options.inputs import QualityLimits
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 rpc_options = stack(
     click.option("--refine", metavar="KIND", help="Correct RPCs: shift, drift (shift and drift) or affine."),
-    options_of(TieOptions, "tied", made=False),
-    options_of(RpcOptions, "files", made=False),
-    options_of(QualityLimits, "limits", only=("max_corner_sigma_px",)),
+    options_of(TieOptions, "tied"),
+    options_of(RpcOptions, "files"),
+    options_of(QualityLimits, "limits", made=True, only=("max_corner_sigma_px",)),
 )
 
 
 @click.command()
 @click.argument("images", type=FILE, nargs=-1, required=True, metavar="IMAGE...")
-@stack(rpc_options, image_options, json_option, debug_option)
+@stack(rpc_options, image_options, running_options)
 def command(
     images: tuple[Path, ...],
     as_json: bool,

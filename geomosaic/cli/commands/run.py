@@ -29,7 +29,7 @@ from geomosaic.options.render import RenderOptions
 @click.argument("steps", nargs=-1, metavar="[STEP...]")
 @click.option("--force", is_flag=True, help="Run the steps whether stale or not.")
 @click.option("--watch", is_flag=True, help="Stay, and run again when a file that the project reads has changed.")
-@options_of(RenderOptions, only=("threads", "memory_limit", "workers"))
+@options_of(RenderOptions, made=True, only=("threads", "memory_limit", "workers"))
 @running_options
 def command(
     project: Path,

@@ -9,7 +9,7 @@ from dataclasses import asdict
 
 import click
 
-from geomosaic.cli.options import debug_option, json_option
+from geomosaic.cli.options import running_options
 from geomosaic.cli.output import answer
 from geomosaic.sensor.plugin import HasExample, SensorExample
 from geomosaic.sensor.registry import SensorEntry, plugin, sensors
@@ -25,8 +25,7 @@ images = ["image.tif"]
 
 @click.command()
 @click.argument("name", required=False)
-@json_option
-@debug_option
+@running_options
 def command(name: str | None, as_json: bool) -> None:
     """List the installed sensors; with NAME, show what that one needs.
 

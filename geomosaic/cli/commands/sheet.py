@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @grouped_command()
 @click.argument("raster", type=FILE)
-@options_of(SheetOptions, made=False, without=("orientation",))
+@options_of(SheetOptions, without=("orientation",))
 @stack(
     click.option("--landscape", "orientation", flag_value="landscape", help="Paper on its long side."),
     click.option("--portrait", "orientation", flag_value="portrait", help="Paper on its short side."),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option, options_of
+from geomosaic.cli.options import FILE, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.values import Number
 from geomosaic.options.sheet import SchemeOptions, SeriesOptions, SheetOptions
@@ -18,7 +18,7 @@ from geomosaic.options.sheet import SchemeOptions, SeriesOptions, SheetOptions
 if TYPE_CHECKING:
     from geomosaic.sheets.series.inputs import FoundSheet
 
-scheme_options = options_of(SchemeOptions, "division", made=False)
+scheme_options = options_of(SchemeOptions, "division")
 
 
 @click.group()
@@ -40,11 +40,10 @@ def command() -> None:
 @command.command("make")
 @click.argument("raster", type=FILE)
 @scheme_options
-@options_of(SeriesOptions, "series", made=False)
-@options_of(SheetOptions, made=False, without=("scale", "bounds", "orientation"))
+@options_of(SeriesOptions, "series")
+@options_of(SheetOptions, without=("scale", "bounds", "orientation"))
 @click.option("-o", "--output", type=FILE, required=True, help="Folder for the sheets and their index.")
-@json_option
-@debug_option
+@running_options
 def make_command(
     raster: Path,
     output: Path,
@@ -80,8 +79,7 @@ def make_command(
 @click.argument("longitude", type=Number())
 @click.argument("latitude", type=Number())
 @scheme_options
-@json_option
-@debug_option
+@running_options
 def find_command(longitude: float, latitude: float, as_json: bool, division: dict[str, Any]) -> None:
     """Find the sheet at a longitude and latitude (WGS 84, degrees)."""
     from geomosaic.sheets.series.inputs import find_sheet, sheet_scheme
@@ -94,8 +92,7 @@ def find_command(longitude: float, latitude: float, as_json: bool, division: dic
 @click.argument("name")
 @scheme_options
 @click.option("--map-crs", metavar="CRS", help="Show the corners in this CRS too.  [default: that of the scheme]")
-@json_option
-@debug_option
+@running_options
 def show_command(name: str, map_crs: str | None, as_json: bool, division: dict[str, Any]) -> None:
     """Show the corners and neighbours of a sheet."""
     from geomosaic.sheets.series.inputs import find_sheet, sheet_scheme

@@ -27,7 +27,7 @@ from geomosaic.options.inputs import BlockInputs
 
 @grouped_command()
 @click.argument("image", type=FILE)
-@options_of(BlockInputs, "inputs", made=False, without=(*PLANAR, *RANKED))
+@options_of(BlockInputs, "inputs", without=(*PLANAR, *RANKED))
 @click.option("--tile", type=click.IntRange(16, 1024), default=128, help="Side of the windows compared, pixels.")
 @click.option("--reach", type=click.IntRange(1, 512), default=32, help="Largest shift looked for, pixels.")
 @output_option

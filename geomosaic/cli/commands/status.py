@@ -10,15 +10,14 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, json_option
+from geomosaic.cli.options import FILE, running_options
 from geomosaic.cli.output import answer, notes
 from geomosaic.cli.results import status_text
 
 
 @click.command()
 @click.argument("project", type=FILE)
-@json_option
-@debug_option
+@running_options
 def command(project: Path, as_json: bool) -> None:
     """Show each step of a project: fresh, stale and why, or never run."""
     from geomosaic.jobs.project import run_project

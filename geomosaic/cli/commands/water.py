@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from geomosaic.cli.options import FILE, debug_option, dem_heights_option, json_option, options_of, overwrite_option
+from geomosaic.cli.options import FILE, dem_heights_option, file_options, options_of
 from geomosaic.cli.output import answer, notes
 from geomosaic.options.sheet import WaterOptions
 
@@ -19,11 +19,8 @@ from geomosaic.options.sheet import WaterOptions
 @click.argument("image", type=FILE)
 @click.option("--dem", type=FILE, required=True, help="Heights of the ground.")
 @dem_heights_option
-@options_of(WaterOptions, made=False)
-@click.option("-o", "--output", type=FILE, required=True, help="GeoPackage to write.")
-@overwrite_option
-@json_option
-@debug_option
+@options_of(WaterOptions)
+@file_options("GeoPackage to write.")
 def command(
     image: Path,
     dem: Path,
