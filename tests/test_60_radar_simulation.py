@@ -39,39 +39,9 @@ class Downs(Land):
     def speckled(self, seed: int, looks: int) -> np.ndarray:
         """Amplitudes of the scene from facets of 4 m; nothing of the program takes part."""
         half = 5.2 * self.scene.size[0], 6.2 * self.scene.size[1]
-        x, y = np.meshgrid(*(self.middle[axis] + np.arange(-half[axis], half[axis], 4.0) for axis in (0, 1)))
-        earth = self.earth(x, y, self.height(x, y)).reshape(-1, 3)
-        step = 1.0
-        east = self.earth(x + step, y, self.height(x + step, y)) - self.earth(x - step, y, self.height(x - step, y))
-        north = self.earth(x, y + step, self.height(x, y + step)) - self.earth(x, y - step, self.height(x, y - step))
-        normal = np.cross(east, north).reshape(-1, 3)
-        known = earth[:: len(earth) // 300]
-        exact = np.array([self.scene.orbit.zero_doppler(p, -60.0, 60.0)[0] for p in known])
-
-        def terms(p: np.ndarray) -> np.ndarray:
-            u = (p - earth.mean(axis=0)) / 1e4
-            return np.column_stack([np.ones(len(u)), u, *(u[:, i] * u[:, j] for i in range(3) for j in range(i, 3))])
-
-        times = terms(earth) @ np.linalg.lstsq(terms(known), exact, rcond=None)[0]
-        base = np.linspace(times.min(), times.max(), 9)
-        sensor = np.stack(
-            [
-                np.polyval(np.polyfit(base, axis, 5), times)
-                for axis in np.array([self.scene.orbit.at(t)[0] for t in base]).T
-            ],
-            axis=1,
-        )
-        line = sensor - earth
-        ranges = np.linalg.norm(line, axis=1)
-        cosine = np.sum(line * normal, axis=1) / ranges / np.linalg.norm(normal, axis=1)
-        power = np.linalg.norm(normal, axis=1) * cosine**2
-        col = (ranges - self.scene.near) / self.scene.spacing + MOVED[0]
-        row = (times - self.scene.first_row) / self.scene.row_interval + MOVED[1]
-        width, height = self.scene.size
-        # Pixels (0.5, 0.5) are centres: a facet belongs to the pixel it lies in.
-        mean, _, _ = np.histogram2d(
-            row + 0.5, col + 0.5, bins=(np.arange(height + 1.0), np.arange(width + 1.0)), weights=power
-        )
+        facets = self.facets(half, 4.0)
+        moved = replace(facets, places=facets.places + MOVED)
+        mean = moved.image(facets.size * facets.cosine**2, self.scene.size)
         return np.sqrt(mean * np.random.default_rng(seed).gamma(looks, 1.0 / looks, mean.shape))
 
 

@@ -129,3 +129,38 @@ output = {{ folder = "output", resampling = "rms", resolution = 60.0 }}
     found = state["state"]["values"]
     assert found[0] == pytest.approx(20 * SCENE.spacing, abs=0.1 * SCENE.spacing)
     assert found[1] == pytest.approx(12 * SCENE.row_interval, abs=0.1 * SCENE.row_interval)
+
+
+def test_overviews_of_amplitudes_are_averaged_in_power_and_the_file_says_so(folder):
+    """Whatever the resampling, in orthos, mosaics and the overview of tiled mosaics; calibrated powers by the mean."""
+    area = {"resolution": 6.0, "dst_crs": CRS, "dem": folder / "dem.tif", "dem_heights": "ellipsoidal"}
+    scene = gm.Scene(folder / "speckle.tif", "sar")
+    block = gm.Scene(folder / "speckle.tif", "sar", dem=folder / "dem.tif", dem_heights="ellipsoidal")
+    for made in (
+        gm.ortho(scene, folder / "o.tif", resampling="nearest", **area),
+        gm.mosaic(block, folder / "m.tif", resampling="nearest", balance=False, resolution=6.0, dst_crs=CRS),
+    ):
+        with rasterio.open(made.path) as file:
+            values, seen = file.read(1).astype(float), file.dataset_mask() > 0
+            assert file.tags()["OVERVIEW_RESAMPLING"] == "RMS"
+            small = file.read(1, out_shape=(-(-file.height // 2), -(-file.width // 2)))
+        rows, cols = 2 * (values.shape[0] // 2), 2 * (values.shape[1] // 2)
+        four = np.stack([values[i:rows:2, j:cols:2] for i in (0, 1) for j in (0, 1)])
+        whole = np.stack([seen[i:rows:2, j:cols:2] for i in (0, 1) for j in (0, 1)]).all(axis=0)
+        assert whole.sum() > 100_000
+        assert np.abs(small[: rows // 2, : cols // 2] - np.sqrt((four**2).mean(axis=0)))[whole].max() <= 0.51
+    plain = gm.ortho(scene, folder / "p.tif", creation={"OVERVIEW_RESAMPLING": "average"}, **area)
+    with rasterio.open(plain.path) as file:
+        assert "OVERVIEW_RESAMPLING" not in file.tags()
+
+
+def test_the_overview_of_a_tiled_mosaic_is_averaged_in_power_too(folder):
+    block = gm.Scene(folder / "speckle.tif", "sar", dem=folder / "dem.tif", dem_heights="ellipsoidal")
+    gm.mosaic(
+        block, folder / "t.vrt", tiling="1024px", resampling="nearest", balance=False, resolution=4.0, dst_crs=CRS
+    )
+    (small,) = folder.glob("t*/t-overview.tif")
+    with rasterio.open(small) as file:
+        shown = file.read(1).astype(float)
+    middle = shown[shown.shape[0] // 3 : -shown.shape[0] // 3, shown.shape[1] // 3 : -shown.shape[1] // 3]
+    assert np.sqrt((middle**2).mean()) == pytest.approx(200 * np.sqrt(2), rel=0.02)

@@ -46,6 +46,7 @@ from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
 from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.vector import prepare
 from geomosaic.render.accuracy import AccuracyRaster, Uncertainties, write_accuracy
+from geomosaic.render.calibrated import overview_mean
 from geomosaic.render.occlusion import ground_of, visibility
 from geomosaic.render.ortho import GeometryRecord, height_notes, tiles
 from geomosaic.render.photo import Rectifier
@@ -247,7 +248,10 @@ def _sinks(
     yield RasterSink(
         files.mosaic, grid, Samples(info.bands, blender.dtype, nodata=render.nodata), creation=render.creation,
         driver=render.driver, overwrite=render.overwrite, threads=render.threads,
-        metadata=RasterMetadata(info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)}),
+        metadata=RasterMetadata(
+            info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)},
+            overviews=overview_mean(blender.photos.block.scenes, render.resampling),
+        ),
     )  # fmt: skip
     if files.labels is not None:
         yield RasterSink(

@@ -127,7 +127,7 @@ class Creation:
     Attributes
     ----------
     gtiff : dict, creation options in the words of GDAL's GTiff driver
-    overviews : str or None, 'average', 'nearest' or none
+    overviews : str or None, 'average', 'rms', 'nearest' or none
     """
 
     gtiff: dict[str, str]
@@ -150,7 +150,7 @@ def creation_options(
     bands : int
     dtype : dtype
     given : mapping of str to str, options of the user
-    overviews : str, resampling of overviews unless the user names one: 'average' or 'nearest'
+    overviews : str, resampling of overviews unless the user names one: 'average', 'rms' or 'nearest'
     where : str, named in errors
 
     Raises
@@ -162,8 +162,10 @@ def creation_options(
         raise InputError(f"rasters are not written as '{driver}'", where=where, hint=f"choose {' or '.join(DRIVERS)}")
     user = {key.upper(): str(value) for key, value in given.items()}
     wanted: str | None = user.pop("OVERVIEW_RESAMPLING", overviews).lower()
-    if wanted not in ("average", "nearest"):
-        raise InputError(f"overviews are not resampled by '{wanted}'", where=where, hint="choose average or nearest")
+    if wanted not in ("average", "rms", "nearest"):
+        raise InputError(
+            f"overviews are not resampled by '{wanted}'", where=where, hint="choose average, rms or nearest"
+        )
     if driver == "GTiff" or user.get("OVERVIEWS", "AUTO").upper() == "NONE":
         wanted = None
     for key, values in _FIXED.items():

@@ -91,6 +91,21 @@ class SourceInfo:
         """Bytes of a pixel in all bands."""
         return self.bands * np.dtype(self.dtype).itemsize
 
+    def calibrated(self, quantity: str, unit: str) -> SourceInfo:
+        """Metadata of the same raster whose values have become a physical quantity.
+
+        Parameters
+        ----------
+        quantity, unit : str
+        """
+        none, every = (None,) * self.bands, self.bands
+        named = f"{quantity} ({unit})"
+        names = tuple(f"{named}, {name}" if name else named for name in self.descriptions)
+        return replace(
+            self, dtype="float32", nodata=None, nodatas=none, descriptions=names, units=(unit,) * every,
+            scales=(1.0,) * every, offsets=(0.0,) * every,
+        )  # fmt: skip
+
 
 def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     """Rasterio's dataset of a raster opened for reading, in a format of the allow-list.

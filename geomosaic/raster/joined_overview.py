@@ -15,6 +15,7 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window as Part
 
 from geomosaic.geo.grid import Grid, Window
+from geomosaic.raster.cog.codec import OVERVIEWS
 from geomosaic.raster.environment import environment
 from geomosaic.types import AnyArray
 from geomosaic.whole_files import under_construction
@@ -70,12 +71,13 @@ def write_overview(
     with environment(), rasterio.open(next(iter(files))) as first:
         form = {"dtype": first.dtypes[0], "count": first.count + (first.nodata is None), "nodata": first.nodata}
         colours, names = list(first.colorinterp), list(first.descriptions)
+        mean = Resampling.rms if first.tags().get(OVERVIEWS) == "RMS" else Resampling.average
     alpha = form["nodata"] is None
     profile = {
         **form, "driver": "GTiff", "width": small.width, "height": small.height, "crs": grid.crs.to_wkt(),
         "transform": small.transform, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "compress": "deflate",
     }  # fmt: skip
-    method = Resampling.nearest if categorical else Resampling.average
+    method = Resampling.nearest if categorical else mean
     with (
         environment(),
         under_construction(path, ".tif", (RasterioError,)) as unfinished,

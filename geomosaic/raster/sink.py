@@ -6,6 +6,7 @@ import errno
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,7 +16,7 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, OutputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.raster.cog.codec import RasterMetadata, Samples
+from geomosaic.raster.cog.codec import OVERVIEWS, RasterMetadata, Samples
 from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
 from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
@@ -138,8 +139,10 @@ class RasterSink:
         check_output(self.path, overwrite=overwrite, geotiff=True)
         check_nodata(samples.dtype, samples.nodata, str(path))
         metadata = metadata or RasterMetadata()
-        overviews = "nearest" if metadata.categorical else "average"
+        overviews = "nearest" if metadata.categorical else metadata.overviews
         made = creation_options(driver, samples.bands, self._dtype, creation or {}, overviews, str(path))
+        if made.overviews == "rms":
+            metadata = replace(metadata, tags={**metadata.tags, OVERVIEWS: "RMS"})
         self._raw = made.gtiff["COMPRESS"] == "NONE"
         self._bytes = grid.width * grid.height * samples.bands * self._dtype.itemsize
         self._check_space()

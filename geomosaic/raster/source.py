@@ -6,7 +6,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import rasterio.windows
@@ -25,6 +25,21 @@ if TYPE_CHECKING:
 
 Pixels = tuple[AnyArray, ByteArray | None]
 Seen = Callable[[Window, AnyArray, ByteArray | None], None]
+
+
+class Calibrated(Protocol):
+    """Physical quantity that the values of an image stand for."""
+
+    @property
+    def quantity(self) -> str:
+        """Its name."""
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+
+    def __call__(self, values: AnyArray, window: Window) -> AnyArray:
+        """Quantity (rows, cols, bands), float32, of the values of a window; NaN where there is none."""
 
 
 class _InMemory:
@@ -159,6 +174,7 @@ class Source:
     usable : sequence of (col, row), optional
         Corners of a polygon; pixels whose centre lies outside of it are not valid.
     clouds : CloudMask, optional, pixels under it are not valid
+    calibrated : Calibrated, optional, what is read is this quantity
 
     Raises
     ------
@@ -178,6 +194,7 @@ class Source:
         scratch: Path | None = None,
         usable: Sequence[tuple[float, float]] | None = None,
         clouds: CloudMask | None = None,
+        calibrated: Calibrated | None = None,
     ) -> None:
         self._path = str(path)
         self._local = threading.local()
@@ -186,9 +203,15 @@ class Source:
         self._whole: _InMemory | _OnDisk | None = None
         self._memory_limit = memory_limit
         self._scratch = scratch
-        self._opened_with = {"nodata": nodata, "bands": bands, "usable": usable, "clouds": clouds}
+        self._opened_with = {
+            "nodata": nodata,
+            "bands": bands,
+            "usable": usable,
+            "clouds": clouds,
+            "calibrated": calibrated,
+        }
         self._usable = None if usable is None else Usable(usable)
-        self._clouds = clouds
+        self._clouds, self._calibrated = clouds, calibrated
         with environment(), open_raster(path) as dataset:
             self.info: SourceInfo = describe(dataset, self._path, bands)
             plain = [i for i in dataset.indexes if i != self.info.alpha]
@@ -196,11 +219,13 @@ class Source:
             self._block_rows = int(dataset.block_shapes[self.bands[0] - 1][0])
             declared = dataset.nodatavals
             overviews = bool(dataset.overviews(self.bands[0]))
-        self.decimates = self.info.direct and not overviews and usable is None and clouds is None
+        self.decimates = self.info.direct and not overviews and usable is None and clouds is None and calibrated is None
         """Whether one pixel out of many costs little, see `read_decimated`."""
         self._dtype = np.dtype(self.info.dtype)
         values = [declared[band - 1] if nodata is None else nodata for band in self.bands]
         self._nodata = tuple(usable_nodata(self._dtype, value) for value in values)
+        if calibrated is not None:
+            self.info = self.info.calibrated(calibrated.quantity, calibrated.unit)
 
     def __reduce__(self) -> tuple[Any, ...]:
         options = {**self._opened_with, "memory_limit": self._memory_limit, "scratch": self._scratch}
@@ -226,7 +251,7 @@ class Source:
     @property
     def dtype(self) -> np.dtype[np.generic]:
         """Type of the samples of a full-resolution read."""
-        return self._dtype
+        return np.dtype(self.info.dtype)
 
     def read(self, window: Window, shrink: int = 1, seen: Seen | None = None) -> Pixels:
         """Read a window.
@@ -307,6 +332,14 @@ class Source:
         return means, valid
 
     def _read_full(self, window: Window) -> tuple[AnyArray, ByteArray | None]:
+        values, valid = self._read_stored(window)
+        if self._calibrated is None:
+            return values, valid
+        found = self._calibrated(values, window)
+        return found, combine(missing_by_value(found, (None,) * found.shape[2]), valid)
+
+    def _read_stored(self, window: Window) -> tuple[AnyArray, ByteArray | None]:
+        """Read a window of what the file holds."""
         if self.info.windowed:
             return self._decode(window)
         with self._lock:

@@ -24,6 +24,7 @@ from geomosaic.raster.files import check_output_size
 from geomosaic.raster.info import joined
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Stack, UnevenStackError
+from geomosaic.render.calibrated import check_calibrations, overview_mean
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
 from geomosaic.resample.warp import Colour, Target
 from geomosaic.sensor.lattice import Lattice, blocks, finite_median
@@ -304,6 +305,7 @@ def stack(
                 info.descriptions,
                 tuple(zip(info.scales, info.offsets, info.units, strict=True)),
                 {"GEOMOSAIC_SENSOR": scenes[0].sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
+                overviews=overview_mean(scenes, options.resampling),
             ),
         ) as sink:
             running = options if grid.width * grid.height > ALONE else replace(options, threads=1)
@@ -367,6 +369,7 @@ class _RectifiedUnits:
     ) -> None:
         self._made_of = scenes, surface, grid, outlines
         self._grid, self._options, self.tiler = grid, options, tiler
+        check_calibrations(scenes, options.resampling)
         memory = options.spare_memory // len(scenes)
         self._photos = [
             Photo.open(scene, surface, grid, outline, memory) for scene, outline in zip(scenes, outlines, strict=True)

@@ -16,6 +16,7 @@ from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.raster.source import Source
 from geomosaic.render.aligned import Offset, copied, is_identity, offset_on, table_of
+from geomosaic.render.calibrated import calibrated_values
 from geomosaic.resample.warp import MOST_SAMPLES, Colour, Sampling, Target, value_range, warp
 from geomosaic.sensor.lattice import Lattice, build
 from geomosaic.sensor.map_to_image import BlockGround, MapToImage
@@ -98,7 +99,7 @@ class Photo:
         """
         source = Source(
             scene.path, nodata=scene.nodata, bands=scene.bands, memory_limit=memory, usable=scene.usable,
-            clouds=scene.clouds,
+            clouds=scene.clouds, calibrated=calibrated_values(scene, surface),
         )  # fmt: skip
         info = source.info
         if (info.width, info.height) != tuple(scene.model.size):

@@ -15,7 +15,8 @@ from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.window_index import WindowIndex
 from geomosaic.options.render import BLOCK_HEIGHT, SampleOptions
-from geomosaic.raster.source import SourceInfo, inspect
+from geomosaic.raster.source import SourceInfo
+from geomosaic.render.calibrated import check_calibrations, image_info
 from geomosaic.render.photo import Photo, refuse_palette, sample_scales
 
 
@@ -86,7 +87,8 @@ class Photos:
         self.block, self.grid, self.outlines = block, grid, outlines
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
         self._index = WindowIndex(self.windows)
-        infos = [inspect(scene.path, scene.bands) for scene in block.scenes]
+        check_calibrations(block.scenes, resampling)
+        infos = [image_info(scene) for scene in block.scenes]
         for info in infos:
             refuse_palette(info, resampling)
         dtype, self._scales = sample_scales(samples or SampleOptions(), infos)

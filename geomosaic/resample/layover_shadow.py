@@ -36,7 +36,7 @@ def profile_classes(ranges: FloatArray, off_nadir: FloatArray, level: FloatArray
         Bits `LAYOVER`, `SHADOW`, `FORESHORTENING`, `UNKNOWN`.
     """
     known = np.isfinite(ranges) & np.isfinite(off_nadir)
-    shadow = known & (off_nadir < _before(np.where(known, off_nadir, -np.inf)))
+    shadow = shadowed(off_nadir, known)
     lit = known & ~shadow
     nearer = _before(np.where(lit, ranges, -np.inf))
     farther = -_before(np.where(lit, -ranges, -np.inf)[:, ::-1])[:, ::-1]
@@ -49,6 +49,20 @@ def profile_classes(ranges: FloatArray, off_nadir: FloatArray, level: FloatArray
     out[shadow] |= SHADOW
     out[foreshortened] |= FORESHORTENING
     return out
+
+
+def shadowed(off_nadir: FloatArray, known: BoolArray) -> BoolArray:
+    """Ground points that an earlier one on their profile hides from the sensor.
+
+    Parameters
+    ----------
+    off_nadir : array (profiles, points)
+        See `profile_classes`.
+    known : bool array (profiles, points)
+        Points that hide others and can be hidden.
+    """
+    hidden: BoolArray = known & (off_nadir < _before(np.where(known, off_nadir, -np.inf)))
+    return hidden
 
 
 def _before(values: FloatArray) -> FloatArray:

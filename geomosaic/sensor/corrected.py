@@ -18,7 +18,16 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.sensor.plugin import ControlBlunder, HasInterior, HasLeftOut, HasRays, Parameters, SensorModel
+from geomosaic.sensor.plugin import (
+    Calibration,
+    ControlBlunder,
+    HasInterior,
+    HasLeftOut,
+    HasRadiometry,
+    HasRays,
+    Parameters,
+    SensorModel,
+)
 from geomosaic.sensor.registry import plugin
 from geomosaic.sensor.solve.newton import jacobian
 from geomosaic.types import FloatArray
@@ -273,6 +282,16 @@ class Corrected:
     def seed(self) -> tuple[float, float, float]:
         """That of the wrapped model."""
         return self.model.seed
+
+    @property
+    def amplitudes(self) -> bool:
+        """Whether pixels are amplitudes, as the wrapped model says; see `HasRadiometry`."""
+        return isinstance(self.model, HasRadiometry) and self.model.amplitudes
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """That of the wrapped model, if it has any."""
+        return self.model.calibration if isinstance(self.model, HasRadiometry) else None
 
     def ground_to_image(self, xyz: FloatArray) -> FloatArray:
         """Ground (N, 3) in `crs` to corrected (col, row) (N, 2)."""

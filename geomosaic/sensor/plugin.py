@@ -224,6 +224,50 @@ class HasSensorPositions(Protocol):
         """
 
 
+class Calibration(Protocol):
+    """Radiometric calibration of an image: a physical quantity as a linear function of what its pixels hold."""
+
+    @property
+    def quantity(self) -> str:
+        """Name of the quantity, for the bands of an output."""
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+
+    @property
+    def flattened(self) -> bool:
+        """Whether it is radar brightness (beta nought), to be normalised by the area that is lit.
+
+        What is lit is computed from the surface, for a model that tells its `HasSensorPositions`; the result is
+        terrain-flattened gamma nought.
+        """
+
+    def at(self, cols: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Factor and offset (M, N) at the pixels of columns (N,) and rows (M,); 0.5 is the middle of the first.
+
+        The quantity is factor · value + offset, or factor · value² + offset of amplitudes.
+
+        Parameters
+        ----------
+        cols : array (N,)
+        rows : array (M,)
+        """
+
+
+@runtime_checkable
+class HasRadiometry(Protocol):
+    """Optional power: what the values of an image's pixels are, as far as it matters for means of them."""
+
+    @property
+    def amplitudes(self) -> bool:
+        """Whether values are amplitudes: their squares, the powers, are averaged and calibrated."""
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """Calibration of the pixels; None where they stay as they are."""
+
+
 @runtime_checkable
 class HasExterior(Protocol):
     """Optional power: the exterior orientation of a photo, as tables have it."""

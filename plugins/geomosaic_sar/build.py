@@ -10,13 +10,15 @@ import numpy as np
 from geomosaic.errors import InputError, SolveError
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import corner_in_scene
-from geomosaic.sensor.inputs import choice, point_rows, scene_offset
+from geomosaic.sensor.inputs import choice, flag, point_rows, scene_offset
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect_control
 from geomosaic.types import FloatArray
+from geomosaic_sar.calibration import CALIBRATIONS
 from geomosaic_sar.metadata import find_beside, read_metadata
 from geomosaic_sar.model import ECEF, KINDS, SarModel
+from geomosaic_sar.scene_calibration import scene_calibration
 
 POINT = ("x", "y", "z", "col", "row")
 
@@ -44,6 +46,13 @@ def build_sar(request: SensorRequest) -> SarModel:
     where, options = request.image, request.options
     points = options.get("points")
     kind = choice(options.get("refine", "shift"), KINDS, "refine", where)
+    wanted = choice(options.get("calibration", "none"), CALIBRATIONS, "calibration", where)
+    denoised = flag(options, "noise_removal", where)
+    if denoised and wanted == "none":
+        raise InputError(
+            "noise_removal would do nothing without a calibration", where=where,
+            hint=f"give calibration = one of {', '.join(CALIBRATIONS[1:])}, or leave noise_removal out",
+        )  # fmt: skip
     given = options.get("metadata")
     if given is not None and not isinstance(given, str):
         raise InputError(
@@ -71,6 +80,12 @@ def build_sar(request: SensorRequest) -> SarModel:
         where=where,
         notes=(scene.title, *scene.notes),
     )
+    if wanted != "none":
+        found = scene_calibration(file, scene, wanted, denoised=denoised, image=request.path or request.image)
+        removed = "without" if denoised else "with its"
+        model = replace(
+            model, calibration=found.cut(col, row), notes=(*model.notes, f"{found.quantity}, {removed} thermal noise")
+        )
     return _refined(model, request) if points and kind != "none" else model
 
 

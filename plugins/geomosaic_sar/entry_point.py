@@ -20,6 +20,13 @@ INPUTS = (
         default="annotation/NAME.xml of Sentinel-1's measurement/NAME.tiff, the XML above TerraSAR-X's IMAGEDATA, or "
         "NAME.radar.json beside the image",
     ),
+    SensorInput(
+        "calibration",
+        "quantity that pixels become, by the product's calibration: beta0, sigma0 or gamma0 (of the ellipsoid), or "
+        "gamma0-flattened, by the area of the DEM that is lit; powers, as float32",
+        default="none, amplitudes as they are",
+    ),
+    SensorInput("noise_removal", "take thermal noise off before, by the product's noise tables", default="false"),
     SensorInput("offset", "column and row of a cut image's upper-left corner in the scene", "px", "0, 0"),
     SensorInput(
         "refine",
@@ -92,11 +99,12 @@ class SarPlugin:
         return SarModel
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """Metadata of a scene."""
+        """Metadata of a scene, and its calibration where that stands in files of its own."""
         from geomosaic_sar.metadata import find_beside
+        from geomosaic_sar.sentinel1_calibration import calibration_files
 
         found = find_beside(str(path))
-        return () if found is None else (found,)
+        return () if found is None else (found, *(file for file in calibration_files(found) if file.is_file()))
 
     def build(self, request: SensorRequest) -> SarModel:
         """Make the model of one scene; see `geomosaic_sar.build`."""

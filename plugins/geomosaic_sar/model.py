@@ -20,6 +20,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.sensor.plugin import ControlBlunder, Parameters
 from geomosaic.types import FloatArray
+from geomosaic_sar.calibration import SarCalibration
 from geomosaic_sar.geometry import ImageGeometry
 from geomosaic_sar.zero_doppler import Passages, ground_points, passages
 
@@ -48,6 +49,8 @@ class SarModel:
         Where the geometry comes from and what was done to it.
     left_out : tuple of ControlBlunder
         Control points that contradict the others; a record of the fit, and no part of the state.
+    calibration : SarCalibration, optional
+        Of the amplitudes; none leaves them as they are.
     """
 
     geometry: ImageGeometry
@@ -56,6 +59,7 @@ class SarModel:
     seed: tuple[float, float, float]
     notes: tuple[str, ...] = ()
     left_out: tuple[ControlBlunder, ...] = ()
+    calibration: SarCalibration | None = None
 
     @classmethod
     def of(
@@ -115,6 +119,11 @@ class SarModel:
     def crs(self) -> CRS:
         """Geocentric WGS 84, metres."""
         return ECEF
+
+    @property
+    def amplitudes(self) -> bool:
+        """Detected products hold amplitudes."""
+        return True
 
     @cached_property
     def _middle(self) -> tuple[float, float]:
@@ -177,6 +186,7 @@ class SarModel:
             **self.parameters.to_dict(),
             "seed": list(self.seed),
             "notes": list(self.notes),
+            "calibration": None if self.calibration is None else self.calibration.to_dict(),
         }
 
     @classmethod
@@ -185,6 +195,8 @@ class SarModel:
         width, height = state["size"]
         x, y, z = state["seed"]
         parameters = Parameters.from_dict(NAMES, UNITS, state)
+        calibration = state.get("calibration")
         return cls(
-            ImageGeometry.from_dict(state["geometry"]), (width, height), parameters, (x, y, z), tuple(state["notes"])
-        )
+            ImageGeometry.from_dict(state["geometry"]), (width, height), parameters, (x, y, z), tuple(state["notes"]),
+            calibration=None if calibration is None else SarCalibration.from_dict(calibration),
+        )  # fmt: skip

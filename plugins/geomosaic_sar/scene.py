@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
 from geomosaic.errors import InputError
 from geomosaic.types import FloatArray
+from geomosaic_sar.calibration import SarCalibration
 from geomosaic_sar.geometry import GroundRange, ImageGeometry, SlantRange
 from geomosaic_sar.orbit import Orbit, StateVectors, require_orbit
 
@@ -31,6 +32,10 @@ class RadarScene:
     notes : tuple of str
     height : float
         Rough ellipsoidal height of the ground, metres.
+    polarisation : str
+        '' where the metadata name none, or several.
+    calibrations : mapping of str to SarCalibration
+        Those that stand in the metadata themselves, by polarisation; of any one quantity.
     """
 
     title: str
@@ -38,6 +43,8 @@ class RadarScene:
     geometry: ImageGeometry
     notes: tuple[str, ...] = ()
     height: float = 0.0
+    polarisation: str = ""
+    calibrations: Mapping[str, SarCalibration] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ azimuth time, as those of the ASAR products from which the format descends (ENVI
 
 from __future__ import annotations
 
+from dataclasses import replace
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -81,7 +82,7 @@ def read_sentinel1(root: Element, where: str) -> RadarScene:
     geometry = checked_geometry(states, size, timing, 1, axis, where)
     ties = _tie_points(root, where)
     height = float(np.median(ties[:, 4])) if len(ties) else 0.0
-    scene = RadarScene(title, size, geometry, (orbit_note(geometry.orbit), *notes), height)
+    scene = RadarScene(title, size, geometry, (orbit_note(geometry.orbit), *notes), height, polarisation)
     return _checked(scene, ties, where) if len(ties) else scene
 
 
@@ -131,4 +132,4 @@ def _checked(scene: RadarScene, ties: FloatArray, where: str) -> RadarScene:
             hint="parts of it may be of another scene; get the annotation of the product again",
         )
     note = f"{len(ties)} tie points of the annotation: median {np.nanmedian(off):.2g} px, worst {np.nanmax(off):.2g} px"
-    return RadarScene(scene.title, scene.size, scene.geometry, (*scene.notes, note), scene.height)
+    return replace(scene, notes=(*scene.notes, note))

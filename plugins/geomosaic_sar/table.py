@@ -11,6 +11,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers, positive, table_of
 from geomosaic.types import FloatArray
+from geomosaic_sar.calibration import QUANTITIES, PixelTable, SarCalibration, ThermalNoise
 from geomosaic_sar.geometry import GroundRange, SlantRange
 from geomosaic_sar.orbit import StateVectors
 from geomosaic_sar.scene import RadarScene, checked_geometry, growing, orbit_note
@@ -25,6 +26,7 @@ KEYS = (
     "ground_range",
     "orbit",
     "ground_height",
+    "calibration",
 )
 SIDES = {"right": 1, "left": -1}
 # Orders of the polynomials of ground range, and records of a table: annotations have some ten of both.
@@ -80,7 +82,25 @@ def read_table(text: str, where: str) -> RadarScene:
     geometry = checked_geometry(states, (width, height), (first, interval), SIDES[looking], axis, where)
     title = str(table.get("title", "radar scene"))[:100]
     ground = number(table.get("ground_height", 0.0), "ground_height", where)
-    return RadarScene(title, (width, height), geometry, (orbit_note(geometry.orbit),), ground)
+    known = {} if "calibration" not in table else {"": _calibration(table["calibration"], where)}
+    return RadarScene(title, (width, height), geometry, (orbit_note(geometry.orbit),), ground, calibrations=known)
+
+
+def _calibration(value: Any, where: str) -> SarCalibration:
+    """Quantity = factor · (DN² − noise), the factor one number or linear between some columns."""
+    table, where = table_of(value, "calibration", where), f"{where}, calibration"
+    known_keys(table, ("quantity", "factor", "columns", "noise"), where)
+    quantity = choice(need(table, "quantity", where, " or ".join(QUANTITIES)), QUANTITIES, "quantity", where)
+    given = need(table, "factor", where, "of squared amplitudes, one number or one at each of `columns`")
+    if "columns" in table:
+        count = len(given) if isinstance(given, list) and 0 < len(given) <= _MOST_RECORDS else 1
+        columns = growing(numbers(table["columns"], count, "columns", where), "columns", where)
+        factors = np.array([positive(one, "factor", where) for one in numbers(given, count, "factor", where)])
+        amplitude = PixelTable(columns, np.zeros(1), factors[None] ** -0.5)
+    else:
+        amplitude = PixelTable.constant(positive(given, "factor", where) ** -0.5)
+    noise = None if "noise" not in table else positive(table["noise"], "noise", where)
+    return SarCalibration(quantity, amplitude, None if noise is None else ThermalNoise(PixelTable.constant(noise)))
 
 
 _SIZE = "[width, height] in pixels"

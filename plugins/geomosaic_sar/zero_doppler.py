@@ -143,6 +143,22 @@ def ground_points(orbit: Orbit, times: FloatArray, ranges: FloatArray, side: int
     return points
 
 
+def ellipsoid_incidence(orbit: Orbit, times: FloatArray, ranges: FloatArray, side: int, height: float) -> FloatArray:
+    """Angles (N,) between the line of sight and the normal of the ellipsoid, radians; see `ground_points`.
+
+    Parameters
+    ----------
+    orbit : Orbit
+    times, ranges : array (N,)
+    side : int
+    height : float
+    """
+    ground = ground_points(orbit, times, ranges, side, height)
+    line = orbit.at(times)[0] - ground
+    normal = ground / (np.array([_EQUATORIAL, _EQUATORIAL, _POLAR]) + height) ** 2
+    return np.asarray(np.arccos(_dot(line, normal) / np.sqrt(_dot(line, line) * _dot(normal, normal))))
+
+
 def _dot(one: FloatArray, other: FloatArray) -> FloatArray:
     out: FloatArray = np.einsum("ij,ij->i", one, other)
     return out

@@ -17,6 +17,32 @@ BASE = 200.0
 
 
 @dataclass(frozen=True)
+class Facets:
+    """Facets of ground: middles, areas as vectors along their normals, positions of the sensor, (col, row)."""
+
+    earth: np.ndarray
+    area: np.ndarray
+    sensor: np.ndarray
+    places: np.ndarray
+
+    @property
+    def cosine(self) -> np.ndarray:
+        """Of the local incidence angle."""
+        line = self.sensor - self.earth
+        return np.sum(line * self.area, axis=1) / (np.linalg.norm(line, axis=1) * self.size)
+
+    @property
+    def size(self) -> np.ndarray:
+        """Square metres."""
+        return np.linalg.norm(self.area, axis=1)
+
+    def image(self, sent: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        """Sums of what facets send by the pixels that their middles lie in."""
+        edges = np.arange(size[1] + 1.0), np.arange(size[0] + 1.0)
+        return np.histogram2d(self.places[:, 1], self.places[:, 0], bins=edges, weights=sent)[0]
+
+
+@dataclass(frozen=True)
 class Land:
     """Hills about the middle of a scene, in metres of a UTM zone over the ellipsoid."""
 
@@ -71,6 +97,39 @@ class Land:
         assert np.abs(terms(known) @ fit - exact).max() < 1e-7
         states = [self.scene.orbit.at(float(t)) for t in terms(earth) @ fit]
         return np.array([p for p, _ in states]), np.array([v / np.linalg.norm(v) for _, v in states])
+
+    def facets(self, half: tuple[float, float], step: float) -> Facets:
+        """Ground within some metres of the middle as facets, and where the exact orbit places them in the scene."""
+        x, y = np.meshgrid(*(self.middle[axis] + np.arange(-half[axis], half[axis], step) for axis in (0, 1)))
+        earth = self.earth(x, y, self.height(x, y)).reshape(-1, 3)
+        d = 0.25 * step
+        east = self.earth(x + d, y, self.height(x + d, y)) - self.earth(x - d, y, self.height(x - d, y))
+        north = self.earth(x, y + d, self.height(x, y + d)) - self.earth(x, y - d, self.height(x, y - d))
+        area = 4.0 * np.cross(east, north).reshape(-1, 3)
+        known = earth[np.random.default_rng(0).choice(len(earth), 300)]
+        exact = np.array([self.scene.orbit.zero_doppler(p, -60.0, 60.0)[0] for p in known])
+
+        def terms(p: np.ndarray) -> np.ndarray:
+            u = (p - earth.mean(axis=0)) / 1e4
+            return np.column_stack([np.ones(len(u)), u, *(u[:, i] * u[:, j] for i in range(3) for j in range(i, 3))])
+
+        times = terms(earth) @ np.linalg.lstsq(terms(known), exact, rcond=None)[0]
+        base = np.linspace(times.min(), times.max(), 9)
+        sensor = np.stack(
+            [
+                np.polyval(np.polyfit(base, axis, 5), times)
+                for axis in np.array([self.scene.orbit.at(t)[0] for t in base]).T
+            ],
+            axis=1,
+        )
+        ranges = np.linalg.norm(sensor - earth, axis=1)
+        places = np.column_stack(
+            [
+                (ranges - self.scene.near) / self.scene.spacing + 0.5,
+                (times - self.scene.first_row) / self.scene.row_interval + 0.5,
+            ]
+        )
+        return Facets(earth, area, sensor, places)
 
     def in_shadow(self, earth: np.ndarray, sensor: np.ndarray) -> np.ndarray:
         """Whether the straight line to the sensor runs through the ground."""

@@ -114,8 +114,22 @@ def sentinel1_detected(scene: Scene, ground: np.ndarray) -> Sentinel1:
     return Sentinel1(stamp(scene.first_row), scene.row_interval, scene.size, _states(scene), records, spacing, ties)
 
 
-def terrasar(scene: Scene, variant: str = "SSC", mode: str = "SM") -> str:
-    """Main annotation of TerraSAR-X of an analytic orbit; MGD has one polynomial, that of the first row."""
+def terrasar(scene: Scene, variant: str = "SSC", mode: str = "SM", factors: dict[str, float] | None = None) -> str:
+    """Main annotation of TerraSAR-X of an analytic orbit; MGD has one polynomial, that of the first row.
+
+    Factors by polarisation make a calibration, with a noise of 40 + 2e5 (τ − near).
+    """
+    early = 2.0 / LIGHT * scene.near
+    calibrated = "".join(
+        f"<noise><polLayer>{layer}</polLayer><imageNoise><timeUTC>{stamp(0.0)}Z</timeUTC><noiseEstimate>"
+        f"<validityRangeMin>{early!r}</validityRangeMin><validityRangeMax>{1.1 * early!r}</validityRangeMax>"
+        f"<referencePoint>{early!r}</referencePoint><polynomialDegree>1</polynomialDegree>"
+        '<coefficient exponent="0">40.0</coefficient><coefficient exponent="1">2e5</coefficient>'
+        "</noiseEstimate></imageNoise></noise>"
+        f"<calibration><calibrationConstant><polLayer>{layer}</polLayer><calFactor>{factor!r}</calFactor>"
+        "</calibrationConstant></calibration>"
+        for layer, factor in (factors or {}).items()
+    )
     states = "".join(
         f"<stateVec><timeUTC>{t}</timeUTC>"
         + "".join(f"<pos{a}>{v!r}</pos{a}>" for a, v in zip("XYZ", p, strict=True))
@@ -152,7 +166,57 @@ def terrasar(scene: Scene, variant: str = "SSC", mode: str = "SM") -> str:
         f"<rangeTime><firstPixel>{near!r}</firstPixel><lastPixel>{far!r}</lastPixel></rangeTime></sceneInfo>"
         f"</productInfo><platform><orbit>{states}</orbit></platform>"
         f"<productSpecific><complexImageInfo><imageDataStartWith>EARLYAZNEARRG</imageDataStartWith>"
-        f"</complexImageInfo>{projected}</productSpecific></level1Product>"
+        f"</complexImageInfo>{projected}</productSpecific>{calibrated}</level1Product>"
+    )
+
+
+def _listed(values: np.ndarray) -> str:
+    return f'count="{len(values)}">{" ".join(f"{v:.9g}" for v in values)}'
+
+
+def calibration(lines: np.ndarray, pixels: np.ndarray, tables: dict[str, np.ndarray], polarisation: str = "VV") -> str:
+    """Calibration annotation of Sentinel-1: tables (lines, pixels) by their element."""
+    vectors = "".join(
+        f"<calibrationVector><azimuthTime>{stamp(0.1 * k)}</azimuthTime><line>{line:g}</line>"
+        f"<pixel {_listed(pixels)}</pixel>"
+        + "".join(f"<{name} {_listed(table[k])}</{name}>" for name, table in tables.items())
+        + "</calibrationVector>"
+        for k, line in enumerate(lines)
+    )
+    return (
+        f"<calibration><adsHeader><polarisation>{polarisation}</polarisation></adsHeader><calibrationInformation>"
+        "<absoluteCalibrationConstant>1.0</absoluteCalibrationConstant></calibrationInformation>"
+        f'<calibrationVectorList count="{len(lines)}">{vectors}</calibrationVectorList></calibration>'
+    )
+
+
+def noise(
+    lines: np.ndarray,
+    pixels: np.ndarray,
+    table: np.ndarray,
+    parts: list[tuple[tuple[int, int, int, int], np.ndarray, np.ndarray]] | None = None,
+) -> str:
+    """Noise annotation of Sentinel-1: the old form, or with parts the new one.
+
+    Parts are first line, first sample, last line, last sample, and factors at some lines.
+    """
+    old = parts is None
+    tag, name = ("noiseVector", "noiseLut") if old else ("noiseRangeVector", "noiseRangeLut")
+    vectors = "".join(
+        f"<{tag}><azimuthTime>{stamp(0.1 * k)}</azimuthTime><line>{line:g}</line><pixel {_listed(pixels)}</pixel>"
+        f"<{name} {_listed(table[k])}</{name}></{tag}>"
+        for k, line in enumerate(lines)
+    )
+    azimuth = "".join(
+        f"<noiseAzimuthVector><swath>IW1</swath><firstAzimuthLine>{top}</firstAzimuthLine>"
+        f"<firstRangeSample>{left}</firstRangeSample><lastAzimuthLine>{bottom}</lastAzimuthLine>"
+        f"<lastRangeSample>{right}</lastRangeSample><line {_listed(at)}</line>"
+        f"<noiseAzimuthLut {_listed(factors)}</noiseAzimuthLut></noiseAzimuthVector>"
+        for (top, left, bottom, right), at, factors in parts or []
+    )
+    more = "" if old else f"<noiseAzimuthVectorList>{azimuth}</noiseAzimuthVectorList>"
+    return (
+        f"<noise><adsHeader><polarisation>VV</polarisation></adsHeader><{tag}List>{vectors}</{tag}List>{more}</noise>"
     )
 
 

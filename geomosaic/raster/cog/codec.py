@@ -28,6 +28,8 @@ BLOCK = 512
 # Of the samples of a band: value = sample · scale + offset, and the unit of the value.
 Scaling = tuple[float, float, str | None]
 UNSCALED: Scaling = (1.0, 0.0, None)
+# Tag of a file that says how its overviews were resampled, where not by plain means; the word is GDAL's.
+OVERVIEWS = "OVERVIEW_RESAMPLING"
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,14 @@ class RasterMetadata:
     scalings : sequence of Scaling, scale, offset and unit of each band
     tags : mapping of str to str, of the file
     categorical : bool, values are labels and not measures: overviews take no mean of them
+    overviews : str, mean of several pixels otherwise: 'average', or 'rms', the root of the mean square, of amplitudes
     """
 
     descriptions: Sequence[str | None] = ()
     scalings: Sequence[Scaling] = ()
     tags: Mapping[str, str] = field(default_factory=dict)
     categorical: bool = False
+    overviews: str = "average"
 
 
 _ANYWHERE = Affine(1.0, 0.0, 1.0, 0.0, -1.0, 1.0)

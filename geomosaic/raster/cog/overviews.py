@@ -80,16 +80,20 @@ def halve(values: AnyArray, valid: ByteArray | None, how: str) -> tuple[AnyArray
     valid : uint8 array (2R, 2C), optional
     how : str
         'average': mean of the valid ones of four pixels, ties to even, so that no level is brighter than the one
-        above; 'nearest': the upper left of four.
+        above; 'rms': root of the mean of their squares, which of amplitudes is their mean in power; 'nearest': the
+        upper left of four.
 
     Returns
     -------
     values : array (R, C, bands)
     valid : uint8 array (R, C), optional
-        Valid where any of the four (average) or the upper left (nearest) is
+        Valid where any of the four (average, rms) or the upper left (nearest) is
     """
     if how == "nearest":
         return values[0::2, 0::2].copy(), None if valid is None else valid[0::2, 0::2].copy()
+    if how == "rms":
+        squares, valid = halve(np.square(values, dtype=np.float64), valid, "average")
+        return _rounded(np.sqrt(squares), values.dtype), valid
     kind = np.int32 if values.dtype.kind in "ui" and values.dtype.itemsize <= 2 else np.float64
     if valid is not None:
         values = np.where(valid[:, :, None] != 0, values, values.dtype.type(0))

@@ -50,7 +50,7 @@ class TileFile:
     samples : Samples
     options : mapping of str to str, GTiff creation options for compression, colour and BIGTIFF
     metadata : RasterMetadata
-    overviews : str or None, 'average' or 'nearest': overviews are made so; for a COG only
+    overviews : str or None, 'average', 'rms' or 'nearest': overviews are made so; for a COG only
     cog : bool, A COG instead of a plain GeoTIFF
     threads : int, tiles of overviews that are compressed at once
     """

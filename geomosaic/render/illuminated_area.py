@@ -1,0 +1,278 @@
+"""Illuminated area of the ground in each pixel of a radar scene, by which its radar brightness is flattened.
+
+Radar brightness is power per area of the slant range plane, A_β = δ_r · δ_a. Gamma nought is power per area of the
+ground as the sensor sees it, projected onto the plane across the line of sight. With the facets of the ground that are
+lit and whose range falls into a pixel,
+
+    γ⁰ = β⁰ · A_β / A_γ,    A_γ = Σ |(a × b) · s|
+
+a and b being the sides of a facet and s the direction to the sensor (Small, Flattening gamma: radiometric terrain
+correction for SAR imagery, IEEE Transactions on Geoscience and Remote Sensing 49(8), 2011, equations 17 to 21). In
+layover the areas of several places add up, as their echoes do; in shadow there is none.
+
+Facets stand on profiles of one row each, half a column wide at a middle height of the ground. Across a row a facet is
+as long as the row is; along it, its area is spread evenly over the columns between its two ends, so that no column is
+counted twice or left out however slopes stretch or compress them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from geomosaic.geo.grid import Window
+from geomosaic.geo.transform import Transform
+from geomosaic.resample.layover_shadow import shadowed
+from geomosaic.sensor.solve import image_to_ground
+from geomosaic.surface.model import Plane, Surface
+from geomosaic.types import AnyArray, BoolArray, FloatArray
+
+# Pixels of a part that is computed at once. Wide ones: ground beside a part falls into it, along its rows.
+WIDTH, HEIGHT = 2048, 64
+# Facets to a column, and columns and rows between nodes of what is smooth.
+PER_COLUMN, STEP = 2, 32
+# Metres between two heights whose ground places make the vertical.
+RISE = 1000.0
+_UP, _RIGHT = np.array([0.0, 0.0, RISE]), np.array([1.0, 0.0])
+# Share of the slant range plane's area below which a pixel counts as shadow.
+LEAST = 0.05
+# Bytes of finished parts that are kept: those under some rows of a large output.
+HELD = 192 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class IlluminatedArea:
+    """Illuminated area of the ground by pixels of a radar scene, over their area in the slant range plane.
+
+    Attributes
+    ----------
+    model : SensorModel with `sensor_positions`
+    surface : Surface
+    """
+
+    model: Any
+    surface: Surface
+    _parts: OrderedDict[tuple[int, int], AnyArray] = field(default_factory=OrderedDict, repr=False)
+    _lock: Any = field(default_factory=Lock, repr=False)
+
+    def at(self, window: Window) -> AnyArray:
+        """A_γ / A_β (rows, cols), float32, of the pixels of a window; NaN in shadow, and where the ground is not known.
+
+        Parameters
+        ----------
+        window : Window
+            Of the scene.
+        """
+        out = np.empty((window.height, window.width), dtype=np.float32)
+        for row in range(window.row // HEIGHT, -(-window.stop_row // HEIGHT)):
+            for col in range(window.col // WIDTH, -(-window.stop_col // WIDTH)):
+                whole = Window(col * WIDTH, row * HEIGHT, WIDTH, HEIGHT).intersection(Window(0, 0, *self.model.size))
+                here = whole.intersection(window)
+                values = self._part(whole)
+                out[_within(here, window)] = values[_within(here, whole)]
+        return out
+
+    def _part(self, part: Window) -> AnyArray:
+        key = part.col, part.row
+        with self._lock:
+            found = self._parts.get(key)
+            if found is not None:
+                self._parts.move_to_end(key)
+                return found
+        found = self._summed(part).astype(np.float32)
+        with self._lock:
+            self._parts[key] = found
+            while sum(one.nbytes for one in self._parts.values()) > HELD:
+                self._parts.popitem(last=False)
+        return found
+
+    def _summed(self, part: Window) -> FloatArray:
+        """A_γ / A_β of a part, from the facets of all rows and columns whose ground can fall into it."""
+        level = _Level.under(self.model, self.surface, part)
+        if level is None:
+            return np.full((part.height, part.width), np.nan)
+        heights = self.surface.height(level.map.reshape(2, -1).T).reshape(level.map.shape[1:])
+        known = np.isfinite(heights)
+        if not known.any():
+            return np.full((part.height, part.width), np.nan)
+        z = np.where(known, heights, level.height) - level.height
+        ground = level.ground + z * level.up
+        line = level.sensor - ground
+        ranges, distance = _length(line), _length(level.sensor)
+        lit = known & ~shadowed(-_dot(line, level.sensor) / (ranges * distance), known)
+        along = np.gradient(ground, axis=1)
+        side = 0.5 * (along[..., 1:] + along[..., :-1])
+        sight = line / ranges
+        sight = 0.5 * (sight[..., 1:] + sight[..., :-1])
+        seen = _dot(np.cross(side, np.diff(ground, axis=2), axis=0), sight) * level.turn
+        # Per length of the row on level ground: the azimuth side of A_β.
+        seen /= _length(np.gradient(level.ground, axis=1))[:, 1:]
+        cols, rows = level.shifted(z)
+        sends = lit[:, 1:] & lit[:, :-1] & (seen > 0.0)
+        shape = part.height, part.width
+        middle = np.clip(0.5 * (rows[:, 1:] + rows[:, :-1]), 0.5, self.model.size[1] - 0.5)
+        total = _spread(
+            cols[:, :-1][sends] - part.col, cols[:, 1:][sends] - part.col, middle[sends] - part.row, seen[sends], shape
+        )
+        ratio = total / level.range_step(part)
+        ratio[(ratio < LEAST) | self._open(part, level, known, cols)] = np.nan
+        return ratio
+
+    def _open(self, part: Window, level: _Level, known: BoolArray, cols: FloatArray) -> BoolArray:
+        """Pixels into which ground may fall whose height is not known, were it as high as what is known nearby."""
+        if known.all():
+            return np.zeros((part.height, part.width), dtype=np.bool_)
+        moved = (cols - level.cols)[known]
+        least, most = math.floor(moved.min()), math.ceil(moved.max())
+        # Known rows and columns before the part count too.
+        number = np.concatenate([np.zeros((len(known), 1), dtype=int), np.cumsum(~known, axis=1)], axis=1)
+        pixel = np.arange(part.col, part.stop_col)
+        first = np.searchsorted(level.cols, pixel - most)
+        last = np.searchsorted(level.cols, pixel + 1 - least, side="right")
+        inside = part.row - level.first_row
+        counted = number[inside : inside + part.height]
+        return np.asarray(counted[:, last] > counted[:, first])
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """Ground at a middle height under rows of a scene and facets along them, and how the scene moves with height.
+
+    Arrays of vectors are (3, rows, points); those of the map (2, rows, points).
+    """
+
+    first_row: int
+    cols: FloatArray
+    height: float
+    half: float
+    ground: FloatArray
+    up: FloatArray
+    sensor: FloatArray
+    map: FloatArray
+    bends: FloatArray
+    steps: FloatArray
+    turn: float
+
+    @classmethod
+    def under(cls, model: Any, surface: Surface, part: Window) -> _Level | None:
+        """Level ground of all that can fall into a part or shade it; None where the orbit does not pass it."""
+        low, high = surface.range
+        height, half = 0.5 * (low + high), max(0.5 * (high - low), 1.0)
+        plane = Plane(surface.crs, height)
+        to_model = Transform(surface.crs, model.crs)
+
+        def moved(image: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Places at the middle height, and the image places (2, N, 2) of the lowest and the highest ground."""
+            there = image_to_ground(model, image, plane)
+            ends = [there + np.array([0.0, 0.0, end - height]) for end in (low, high)]
+            return there, np.stack([model.ground_to_image(to_model(end)) for end in ends]) - image
+
+        rows = max(part.row, 0.5), min(part.stop_row, model.size[1] - 0.5)
+        corners = np.array([[col, row] for col in (part.col, part.stop_col) for row in rows], dtype=np.float64)
+        there, shift = moved(corners)
+        corner, beside = to_model(there), to_model(image_to_ground(model, corners + _RIGHT, plane))
+        line = (model.sensor_positions(corner) - corner).T
+        rise = (to_model(there + _UP) - corner).T
+        cosine = _dot(line, rise) / (_length(line) * _length(rise))
+        # Columns that a shadow is long, by height: the tangent of the incidence angle.
+        shade = np.sqrt(1.0 - cosine**2) / cosine / _length((beside - corner).T)
+        if not (np.isfinite(shift).all() and (shade > 0.0).all()):
+            return None
+        # Ground at column u shows at u + shift; what shades it stands nearer to the sensor, at smaller columns.
+        least, most = float(shift[..., 0].min()), float(shift[..., 0].max())
+        margin = 1 + math.ceil(float(np.abs(shift[..., 1]).max()))
+        first = math.floor(part.col - most - 1.02 * (high - low) * float(shade.max())) - 2
+        stop = math.ceil(part.stop_col - least) + 2
+        row, stop_row = max(0, part.row - margin), min(model.size[1], part.stop_row + margin)
+        cols = first + np.arange((stop - first) * PER_COLUMN + 1) / PER_COLUMN
+        at_cols = np.linspace(first, stop, max(2, math.ceil((stop - first) / STEP) + 1))
+        at_rows = np.linspace(row + 0.5, stop_row - 0.5, max(2, math.ceil((stop_row - row) / STEP) + 1))
+        places, moves = moved(np.stack(np.meshgrid(at_cols, at_rows), axis=-1).reshape(-1, 2))
+        zero = to_model(places)
+        up = (to_model(places + _UP) - zero) / RISE
+        sensor = model.sensor_positions(zero)
+        # Shifts by height are quadratics through those of the lowest, the middle and the highest ground.
+        bends = np.concatenate([0.5 * (moves[1] - moves[0]), 0.5 * (moves[1] + moves[0])], axis=1)
+        if not all(np.isfinite(one).all() for one in (zero, up, sensor, bends)):
+            return None
+        shape = len(at_rows), len(at_cols)
+        step = np.gradient(np.linalg.norm(sensor - zero, axis=1).reshape(shape), at_cols, axis=1)
+        whole = row + 0.5 + np.arange(stop_row - row)
+
+        def everywhere(values: FloatArray) -> FloatArray:
+            grid = np.moveaxis(values.reshape(*shape, -1), -1, 0)
+            return _linear(np.moveaxis(_linear(grid, at_cols, cols), 1, 2), at_rows, whole).swapaxes(1, 2)
+
+        ground, lifted, seen_from = everywhere(zero), everywhere(up), everywhere(sensor)
+        facet = np.cross(ground[:, 1, 0] - ground[:, 0, 0], ground[:, 0, 1] - ground[:, 0, 0])
+        turn = math.copysign(1.0, float(facet @ lifted[:, 0, 0]))
+        xy = everywhere(places[:, :2])
+        return cls(row, cols, height, half, ground, lifted, seen_from, xy, everywhere(bends), everywhere(step)[0], turn)
+
+    def shifted(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows (rows, points) of the ground at heights above the middle one."""
+        part = z / self.half
+        rows = self.first_row + 0.5 + np.arange(len(z))[:, None]
+        return (
+            self.cols + part * (self.bends[0] + part * self.bends[2]),
+            rows + part * (self.bends[1] + part * self.bends[3]),
+        )
+
+    def range_step(self, part: Window) -> FloatArray:
+        """Metres of slant range from one column to the next, at the pixels of a part."""
+        at = np.searchsorted(self.cols, np.arange(part.col, part.stop_col) + 0.5)
+        inside = part.row - self.first_row
+        return np.asarray(self.steps[inside : inside + part.height, at])
+
+
+def _spread(
+    left: FloatArray, right: FloatArray, row: FloatArray, amount: FloatArray, shape: tuple[int, int]
+) -> FloatArray:
+    """Sums (rows, cols) of amounts that lie evenly between two columns, and linearly between two rows' middles."""
+    rows, cols = shape
+    low, high = np.minimum(left, right), np.maximum(left, right)
+    width = np.maximum(high - low, 1e-9)
+    high = low + width
+    first = np.floor(low).astype(np.int64)
+    above = np.floor(row - 0.5).astype(np.int64)
+    lower = row - 0.5 - above
+    total = np.zeros(rows * cols)
+    touched = np.ceil(high).astype(np.int64) - first
+    for number in range(int(touched.max(initial=0))):
+        some = np.flatnonzero((touched > number) & (first + number >= 0) & (first + number < cols))
+        col = first[some] + number
+        share = (np.minimum(high[some], col + 1.0) - np.maximum(low[some], col)) / width[some] * amount[some]
+        for down in (0, 1):
+            at = above[some] + down
+            inside = (at >= 0) & (at < rows)
+            part = share * (lower[some] if down else 1.0 - lower[some])
+            total += np.bincount((at * cols + col)[inside], part[inside], rows * cols)
+    return total.reshape(shape)
+
+
+def _linear(values: FloatArray, nodes: FloatArray, at: FloatArray) -> FloatArray:
+    """Values (K, M, len(at)) between equidistant nodes, of values (K, M, nodes)."""
+    place = (at - nodes[0]) / (nodes[1] - nodes[0])
+    first = np.clip(place.astype(int), 0, len(nodes) - 2)
+    part = place - first
+    return np.asarray(values[..., first] * (1.0 - part) + values[..., first + 1] * part)
+
+
+def _within(part: Window, whole: Window) -> tuple[slice, slice]:
+    """Rows and columns of a part in an array of the whole."""
+    row, col = part.row - whole.row, part.col - whole.col
+    return slice(row, row + part.height), slice(col, col + part.width)
+
+
+def _dot(one: FloatArray, other: FloatArray) -> FloatArray:
+    out: FloatArray = np.einsum("i...,i...->...", one, other)
+    return out
+
+
+def _length(vectors: FloatArray) -> FloatArray:
+    return np.sqrt(_dot(vectors, vectors))
