@@ -165,6 +165,21 @@ def reading(read: Callable[[Request], Any]) -> Callable[[Request], Awaitable[Res
     return endpoint
 
 
+def posting(act: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Request], Awaitable[Response]]:
+    """Endpoint that answers with JSON values of what a request carries, made in a thread of their own.
+
+    Parameters
+    ----------
+    act : callable
+        From a request and its JSON object to what the answer holds.
+    """
+
+    async def endpoint(request: Request) -> Response:
+        return answer(await run_in_threadpool(act, request, await body_of(request)))
+
+    return endpoint
+
+
 def number_in_address(text: str, name: str) -> float:
     """Number of a text in the address of a request.
 

@@ -18,7 +18,6 @@ from geomosaic.geo.units import axis_unit
 from geomosaic.jobs.manifest import Layout
 from geomosaic.mosaicking.seams.seam_edits import beyond_outlines, cut, dragged, given, redrawn
 from geomosaic.mosaicking.seams.seamlines import seam_segments
-from geomosaic.project.load import Project
 from geomosaic.raster.cog.codec import BLOCK
 from geomosaic.raster.cog.tiff import LENGTH, WIDTH
 from geomosaic.raster.cog.tiles import EarlierTiles
@@ -190,14 +189,8 @@ class SeamDesk:
             return {"windows": None}
         return {"windows": _differing(kept_mosaic(project), Layout(project).mosaic)}
 
-    def _project(self) -> Project:
-        project = self._workspace.project()
-        if project is None:
-            raise InputError("the project file has an error", hint="see Messages")
-        return project
-
     def _file(self) -> SeamFile:
-        return SeamFile.of(self._project())
+        return SeamFile.of(self._workspace.sound_project())
 
     def _save(self, title: str, act: Callable[[SeamFile], list[Any]]) -> None:
         with self._workspace.history.lock:

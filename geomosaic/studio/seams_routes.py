@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from geomosaic.studio.app import Studio, answer, body_of
+from geomosaic.studio.app import Studio, answer, body_of, posting, reading
 from geomosaic.studio.photo_tiles import PhotoTiles
 from geomosaic.studio.seams import SeamDesk
 
@@ -32,12 +32,6 @@ def seams_routes(studio: Studio) -> list[Route]:
             await runs.prepare()
         return answer(found)
 
-    def reading(read: Callable[[Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
-        async def endpoint(request: Request) -> Response:
-            return answer(await run_in_threadpool(read, await body_of(request)))
-
-        return endpoint
-
     def edited(act: Callable[[Mapping[str, Any]], None]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
             await run_in_threadpool(act, await body_of(request))
@@ -45,9 +39,6 @@ def seams_routes(studio: Studio) -> list[Route]:
             return answer(await run_in_threadpool(desk.state))
 
         return endpoint
-
-    async def changes(request: Request) -> Response:
-        return answer(await run_in_threadpool(desk.changes, request.query_params.get("since", "")))
 
     async def tile(request: Request) -> Response:
         place = request.path_params
@@ -58,13 +49,13 @@ def seams_routes(studio: Studio) -> list[Route]:
 
     return [
         Route("/api/seams", state),
-        Route("/api/seams/candidates", reading(desk.candidates), methods=["POST"]),
-        Route("/api/seams/pieces", reading(desk.pieces), methods=["POST"]),
+        Route("/api/seams/candidates", posting(lambda _, values: desk.candidates(values)), methods=["POST"]),
+        Route("/api/seams/pieces", posting(lambda _, values: desk.pieces(values)), methods=["POST"]),
         *(
             Route(f"/api/seams/{act.__name__}", edited(act), methods=["POST"])
             for act in (desk.give, desk.redraw, desk.drag, desk.retouch)
         ),
         Route("/api/seams/run", edited(lambda _: None), methods=["POST"]),
-        Route("/api/seams/changes", changes),
+        Route("/api/seams/changes", reading(lambda request: desk.changes(request.query_params.get("since", "")))),
         Route("/photo-tiles/{image}/{z:int}/{x:int}/{y:int}.webp", tile),
     ]

@@ -14,7 +14,7 @@ from typing import Any
 from affine import Affine
 
 from geomosaic.digests import digest_of
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.units import axis_unit
 from geomosaic.jobs.manifest import Layout, recorded_warnings
@@ -72,6 +72,20 @@ class Workspace:
     def project(self) -> Project | None:
         """Project as its file is now; None where that has errors, which `messages` tells."""
         return self._loaded()[0]
+
+    def sound_project(self) -> Project:
+        """Project as its file is now; an error where that has errors."""
+        project = self.project()
+        if project is None:
+            raise InputError("the project file has errors", hint="see Messages")
+        return project
+
+    def image(self, layer: str) -> tuple[Project, Path]:
+        """Project, and path of an image of it by the id of its layer; an error where there is none."""
+        project, path = self.project(), self.raster(layer)
+        if project is None or path is None or path not in project.images:
+            raise InputError("there is no such image in the project", hint="load the page again")
+        return project, path
 
     def messages(self) -> list[dict[str, Any]]:
         """Errors and notes of the project file: `kind` ('error', 'note'), `what`, `where`, `hint`."""

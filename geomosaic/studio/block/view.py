@@ -46,7 +46,7 @@ class BlockView:
         layer : str, optional
             Georeferenced layer by its id, on whose map places are told; the block's own map unless given.
         """
-        project = self._project()
+        project = self._workspace.sound_project()
         reading = self._reading(project)
         crs = self._crs(reading, layer)
         prints = {} if crs is None else reading.footprints(crs)
@@ -94,7 +94,7 @@ class BlockView:
         layer : str, optional
             As for `overview`.
         """
-        project = self._project()
+        project = self._workspace.sound_project()
         reading = self._reading(project)
         found, name = reading.residuals, self._name(image)
         if found is None or name not in found.names:
@@ -126,7 +126,7 @@ class BlockView:
         layer : str, optional
             As for `overview`.
         """
-        reading = self._reading(self._project())
+        reading = self._reading(self._workspace.sound_project())
         found = reading.residuals
         if found is None or point not in found.ids:
             raise InputError(f"there is no tie point '{point}'", hint="load the page again")
@@ -164,7 +164,7 @@ class BlockView:
         InputError
             It is as wanted already, or the last image would go.
         """
-        name, project = self._name(image), self._project()
+        name, project = self._name(image), self._workspace.sound_project()
         with self._workspace.history.lock:
             text = text_of(self._workspace.path) or ""
             before = list(project.settings.project.set_aside)
@@ -190,19 +190,13 @@ class BlockView:
         InputError
             No comment names it.
         """
-        self._project()
+        self._workspace.sound_project()
         with self._workspace.history.lock:
             text = text_of(self._workspace.path) or ""
             changed = with_commented_image(text, name)
             self._workspace.history.save(
                 f"{name} taken back", {self._workspace.path: text}, {self._workspace.path: changed}
             )
-
-    def _project(self) -> Project:
-        project = self._workspace.project()
-        if project is None:
-            raise InputError("the project file has errors", hint="see Messages")
-        return project
 
     def _reading(self, project: Project) -> BlockReading:
         """Block as its files are now."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -12,7 +11,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from geomosaic.studio.access import Refusal
-from geomosaic.studio.app import answer, body_of, number_in_address, reading
+from geomosaic.studio.app import answer, body_of, number_in_address, posting, reading
 from geomosaic.studio.control.desk import ControlDesk
 
 
@@ -47,15 +46,12 @@ def control_routes(desk: ControlDesk) -> list[Route]:
 
         return endpoint
 
-    async def measure(request: Request) -> Response:
-        values = await body_of(request)
-        image, model = request.path_params["image"], request.query_params.get("model")
-        return answer(await run_in_threadpool(desk.measure, image, values, model))
+    def measure(request: Request, values: dict[str, Any]) -> dict[str, Any]:
+        return desk.measure(request.path_params["image"], values, request.query_params.get("model"))
 
-    async def georeference(request: Request) -> Response:
+    def georeference(request: Request, values: dict[str, Any]) -> dict[str, Any]:
         image, model = request.path_params["image"], request.query_params.get("model")
-        overwrite = (await body_of(request)).get("overwrite") is True
-        return answer(await run_in_threadpool(partial(desk.georeference, image, model, overwrite=overwrite)))
+        return desk.georeference(image, model, overwrite=values.get("overwrite") is True)
 
     edits = desk.edits
     add = edited(lambda image, _, values: edits.add(image, values))
@@ -68,8 +64,8 @@ def control_routes(desk: ControlDesk) -> list[Route]:
         Route(f"{image}/points", add, methods=["POST"]),
         Route(f"{image}/points/{{point}}", edited(edits.change), methods=["PATCH"]),
         Route(f"{image}/points/{{point}}", remove, methods=["DELETE"]),
-        Route(f"{image}/measure", measure, methods=["POST"]),
-        Route(f"{image}/georeference", georeference, methods=["POST"]),
+        Route(f"{image}/measure", posting(measure), methods=["POST"]),
+        Route(f"{image}/georeference", posting(georeference), methods=["POST"]),
     ]
 
 

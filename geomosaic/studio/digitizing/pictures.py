@@ -120,9 +120,7 @@ class FeaturePictures:
         image : str
             Its id.
         """
-        project, path = self._workspace.project(), self._workspace.raster(image)
-        if project is None or path not in project.images:
-            raise InputError("there is no such image in the project", hint="load the page again")
+        project, path = self._workspace.image(image)
         with self._lock:
             key = _stamps(project)
             if key != self._key:

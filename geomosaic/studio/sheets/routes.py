@@ -5,13 +5,12 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
 from geomosaic.studio.access import Refusal
-from geomosaic.studio.app import Studio, answer, body_of
+from geomosaic.studio.app import Studio, answer, body_of, posting, reading
 from geomosaic.studio.sheets.desk import SheetDesk
 
 
@@ -26,17 +25,8 @@ def sheet_routes(studio: Studio) -> list[Route]:
     studio.closing.append(desk.end)
     prints: set[asyncio.Task[Any]] = set()
 
-    async def overview(request: Request) -> Response:
-        return answer(await run_in_threadpool(desk.overview))
-
-    async def create(request: Request) -> Response:
-        return answer(await run_in_threadpool(desk.create, await body_of(request)))
-
-    async def state(request: Request) -> Response:
-        return answer(await run_in_threadpool(desk.state, request.path_params["layout"]))
-
-    async def edit(request: Request) -> Response:
-        return answer(await run_in_threadpool(desk.edit, request.path_params["layout"], await body_of(request)))
+    def edit(request: Request, values: dict[str, Any]) -> dict[str, Any]:
+        return desk.edit(request.path_params["layout"], values)
 
     async def preview(request: Request) -> Response:
         query = request.query_params
@@ -64,12 +54,12 @@ def sheet_routes(studio: Studio) -> list[Route]:
 
     root = "/api/sheets"
     return [
-        Route(root, overview),
-        Route(root, create, methods=["POST"]),
+        Route(root, reading(lambda _: desk.overview())),
+        Route(root, posting(lambda _, values: desk.create(values)), methods=["POST"]),
         Route(f"{root}/pictures/{{key}}.png", picture),
         Route(f"{root}/print/stop", stop_print, methods=["POST"]),
-        Route(f"{root}/{{layout}}", state),
-        Route(f"{root}/{{layout}}", edit, methods=["PATCH"]),
+        Route(f"{root}/{{layout}}", reading(lambda request: desk.state(request.path_params["layout"]))),
+        Route(f"{root}/{{layout}}", posting(edit), methods=["PATCH"]),
         Route(f"{root}/{{layout}}/preview", preview),
         Route(f"{root}/{{layout}}/print", start_print, methods=["POST"]),
     ]
