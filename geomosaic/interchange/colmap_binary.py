@@ -37,13 +37,7 @@ _FEATURE = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 
 
 class Cursor:
-    """Place in the bytes of a file; an error names the file and the byte.
-
-    Parameters
-    ----------
-    data : bytes
-    path : str
-    """
+    """Place in the bytes of a file; an error names the file and the byte."""
 
     def __init__(self, data: bytes, path: str) -> None:
         self.data, self.path, self.at = data, path, 0

@@ -9,7 +9,7 @@ from typing import Any
 from geomosaic.errors import counted, listed
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.report.block_figures import BlockFigures
-from geomosaic.report.page import card, decimals, environment, number
+from geomosaic.report.page import card, decimals, number, rendered
 
 # Rows of a table; the JSON twin has them all.
 MOST_ROWS = 300
@@ -51,32 +51,26 @@ def render_block(
     str
         HTML; text from files is escaped, and nothing is loaded from elsewhere.
     """
-    from geomosaic import __version__
-
     moved = {each["name"]: each["pixels"] for each in facts["weakest"]}
     metres = [v for v in facts["points"]["median_sigmas"] if _known(v)]
-    return (
-        environment()
-        .get_template("block.html.j2")
-        .render(
-            **renamed_values({"described": counted(len(facts["images"]), "image"), **facts}, flag),
-            geomosaic=__version__,
-            name=name,
-            notes=[*warnings(facts), *notes],
-            cards=_cards(facts),
-            figures=figures,
-            story=_sigma0_text(facts),
-            tables=_image_tables(facts, moved),
-            digits=min(decimals(min(metres, default=0.01), 3), 5),
-            colours=COLOURS,
-            signs=SIGNS,
-            words_of=WORDS,
-            states=[state for state in WORDS if any(mark.state == state for mark in figures.map.marks)],
-            causes=_causes(facts),
-            most=MOST_ROWS,
-            significant=SIGNIFICANT,
-            tie_section=ties,
-        )
+    return rendered(
+        "block",
+        **renamed_values({"described": counted(len(facts["images"]), "image"), **facts}, flag),
+        name=name,
+        notes=[*warnings(facts), *notes],
+        cards=_cards(facts),
+        figures=figures,
+        story=_sigma0_text(facts),
+        tables=_image_tables(facts, moved),
+        digits=min(decimals(min(metres, default=0.01), 3), 5),
+        colours=COLOURS,
+        signs=SIGNS,
+        words_of=WORDS,
+        states=[state for state in WORDS if any(mark.state == state for mark in figures.map.marks)],
+        causes=_causes(facts),
+        most=MOST_ROWS,
+        significant=SIGNIFICANT,
+        tie_section=ties,
     )
 
 

@@ -12,7 +12,7 @@ from geomosaic.numbers import round_below
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.raster.pictures import jpeg_bytes
 from geomosaic.report.figures import Vector, data_uri, residual_length
-from geomosaic.report.page import card, decimals, environment, number
+from geomosaic.report.page import card, decimals, number, rendered
 from geomosaic.types import ByteArray
 
 # Colours (rows, cols, 3) of an image reduced to a small picture, and where there is one (rows, cols).
@@ -133,8 +133,6 @@ def render_control(data: Mapping[str, Any], picture: Picture) -> str:
     str
         HTML; text from files is escaped, and nothing is loaded from elsewhere.
     """
-    from geomosaic import __version__
-
     size = (data["image"]["width"], data["image"]["height"])
     through = data["accuracy"]["headline"] == "leave_one_out"
     key = "leave_one_out_px" if through else "residual_px"
@@ -142,22 +140,18 @@ def render_control(data: Mapping[str, Any], picture: Picture) -> str:
     drawn = [{**point, "residual_px": point[key] or point["residual_px"]} for point in data["points"]]
     metre = max(data["accuracy"][data["accuracy"]["headline"]]["m"]["rms_total"] or 0.0, 1e-6)
     # Residuals in metres with as many decimals as their RMS asks for, millimetres at least.
-    return (
-        environment()
-        .get_template("control.html.j2")
-        .render(
-            **renamed_values(data, flag),
-            geomosaic=__version__,
-            figure=_control_figure(drawn, size, picture),
-            through=through,
-            sorted_points=points,
-            cards=_cards(data),
-            digits=min(decimals(metre, 2), 6),
-            colours=COLOURS,
-            words_of=WORDS,
-            states=[state for state in WORDS if any(point["state"] == state for point in points)],
-            most=MOST_ROWS,
-        )
+    return rendered(
+        "control",
+        **renamed_values(data, flag),
+        figure=_control_figure(drawn, size, picture),
+        through=through,
+        sorted_points=points,
+        cards=_cards(data),
+        digits=min(decimals(metre, 2), 6),
+        colours=COLOURS,
+        words_of=WORDS,
+        states=[state for state in WORDS if any(point["state"] == state for point in points)],
+        most=MOST_ROWS,
     )
 
 

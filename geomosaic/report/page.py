@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from geomosaic import __version__
+
 if TYPE_CHECKING:
     from jinja2 import Environment
     from jinja2.bccache import Bucket
@@ -113,14 +115,22 @@ _FOLDER = Path(__file__).parent
 _COMPILED = _FOLDER / "__pycache__"
 
 
-@cache
-def environment() -> Environment:
-    """Jinja environment of the templates in this folder; text is escaped, and an undefined name is an error.
+def rendered(template: str, **values: Any) -> str:
+    """Page of a template in this folder, which can name the version of geomosaic.
 
-    Returns
-    -------
-    jinja2.Environment
+    Parameters
+    ----------
+    template : str
+        Its name without endings.
+    **values
+        What the template shows.
     """
+    return _environment().get_template(f"{template}.html.j2").render(**{"geomosaic": __version__, **values})
+
+
+@cache
+def _environment() -> Environment:
+    """Jinja environment of the templates in this folder; text is escaped, and an undefined name is an error."""
     # Compiled templates are cached beside Python's own bytecode where that is possible: compiling takes a fifth of a
     # second.
     import jinja2

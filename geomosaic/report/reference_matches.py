@@ -12,7 +12,7 @@ from geomosaic.errors import GeomosaicError
 from geomosaic.numbers import round_below
 from geomosaic.raster.pictures import jpeg_bytes, preview
 from geomosaic.report.figures import data_uri
-from geomosaic.report.page import environment
+from geomosaic.report.page import rendered
 from geomosaic.types import FloatArray
 
 # Pixels of the longer side of a picture of an image, and its side in units of the figure; quality of its JPEG.
@@ -74,13 +74,10 @@ def render_reference(
     str
         Text from files is escaped, nothing is loaded from elsewhere, and no script runs.
     """
-    from geomosaic import __version__
-
     # The worst first: they are what a reader looks for.
     order = sorted(found, key=lambda each: -each.rms)
-    template = environment().get_template("reference_matches.html.j2")
-    return template.render(
-        geomosaic=__version__, name=name, summary=summary, notes=notes, failures=failures, images=order,
+    return rendered(
+        "reference_matches", name=name, summary=summary, notes=notes, failures=failures, images=order,
         figures=[_figure(each) for each in order[:MOST]],
     )  # fmt: skip
 

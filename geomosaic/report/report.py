@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomosaic.report.figures import data_uri, mosaic_map, residual_length, residual_plot
-from geomosaic.report.page import decimals, environment, number, rms, share
+from geomosaic.report.page import decimals, number, rendered, rms, share
 from geomosaic.types import AnyArray, ByteArray
 
 if TYPE_CHECKING:
@@ -170,25 +170,22 @@ def render_html(
     points = sorted(orient["control"], key=lambda point: residual_length((point["col"], point["row"])), reverse=True)
     sizes = {(image["width"], image["height"]) for image in orient["images"]}
     plot = residual_plot(points, sizes.pop(), orient["measured"]) if points and len(sizes) == 1 else None
-    return (
-        environment()
-        .get_template("template.html.j2")
-        .render(
-            **data,
-            ground=decimals(made["grid"]["resolution"][0]),
-            grey=decimals(rms(made["before"]) or rms((data["check"]["reference"] or {}).get("colour_rms", [])), 2),
-            cards=_cards(data),
-            unit="m" if unit == "metre" else unit,
-            points=points,
-            map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
-            plot=plot,
-            seams=made.get("seam_quality"),
-            seam_limit=seam_limit(orient, made),
-            places=places,
-            tie_section=ties,
-            most=MOST_ROWS,
-            total_pixels=made["grid"]["width"] * made["grid"]["height"],
-        )
+    return rendered(
+        "template",
+        **data,
+        ground=decimals(made["grid"]["resolution"][0]),
+        grey=decimals(rms(made["before"]) or rms((data["check"]["reference"] or {}).get("colour_rms", [])), 2),
+        cards=_cards(data),
+        unit="m" if unit == "metre" else unit,
+        points=points,
+        map=mosaic_map(mosaic, vectors, made["grid"]["bounds"], unit),
+        plot=plot,
+        seams=made.get("seam_quality"),
+        seam_limit=seam_limit(orient, made),
+        places=places,
+        tie_section=ties,
+        most=MOST_ROWS,
+        total_pixels=made["grid"]["width"] * made["grid"]["height"],
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from geomosaic.report.page import environment
+from geomosaic.report.page import rendered
 from geomosaic.report.tie_point_figures import tie_figures
 from geomosaic.report.tied_images import TiedImages, tie_facts
 
@@ -24,8 +24,7 @@ def render_tie_section(tied: TiedImages, facts: Mapping[str, Any]) -> str:
     str
         HTML; text from files is escaped, nothing is loaded from elsewhere, and no script runs.
     """
-    template = environment().get_template("tie_points.html.j2")
-    return template.render(ties=facts, tied=tie_figures(tied, facts))
+    return rendered("tie_points", ties=facts, tied=tie_figures(tied, facts))
 
 
 def render_ties(tied: TiedImages, name: str, summary: Sequence[str], notes: Sequence[str] = ()) -> str:
@@ -39,7 +38,5 @@ def render_ties(tied: TiedImages, name: str, summary: Sequence[str], notes: Sequ
     summary, notes : sequence of str
         The result in words, and what the user was warned of.
     """
-    from geomosaic import __version__
-
-    section, page = render_tie_section(tied, tie_facts(tied)), environment().get_template("match.html.j2")
-    return page.render(geomosaic=__version__, name=name, summary=summary, notes=notes, tie_section=section)
+    section = render_tie_section(tied, tie_facts(tied))
+    return rendered("match", name=name, summary=summary, notes=notes, tie_section=section)

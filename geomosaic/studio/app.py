@@ -37,10 +37,6 @@ _DECODERS = 4
 class Studio:
     """Parts of a running studio that its routes share.
 
-    Parameters
-    ----------
-    workspace : Workspace
-
     Attributes
     ----------
     changes : Changes

@@ -20,10 +20,6 @@ MOST = 32
 class Changes:
     """Watch over the files of a workspace, with the pages that listen.
 
-    Parameters
-    ----------
-    workspace : Workspace
-
     Attributes
     ----------
     waiting : callable

@@ -32,12 +32,7 @@ _TOLERANCE = 0.25
 
 
 class PhotoTiles:
-    """Tiles of single images in the pyramid of the mosaic; safe to use from any number of threads.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    """
+    """Tiles of single images in the pyramid of the mosaic; safe to use from any number of threads."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace

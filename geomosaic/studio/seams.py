@@ -33,12 +33,7 @@ _SPARE = 4.0
 
 
 class SeamDesk:
-    """Seams of a workspace's mosaic.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    """
+    """Seams of a workspace's mosaic."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace

@@ -26,12 +26,7 @@ from geomosaic.types import FloatArray, IntArray
 
 
 class BlockView:
-    """Block of a workspace.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    """
+    """Block of a workspace."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace

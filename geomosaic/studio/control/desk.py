@@ -31,10 +31,6 @@ from geomosaic.types import FloatArray
 class ControlDesk:
     """Control of the images of a workspace.
 
-    Parameters
-    ----------
-    workspace : Workspace
-
     Attributes
     ----------
     edits : TableEdits

@@ -23,13 +23,7 @@ _PIXEL, _GROUND, _DEGREE = 3, 3, 9
 
 
 class TableEdits:
-    """Edits of control tables.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    stations : Stations
-    """
+    """Edits of control tables."""
 
     def __init__(self, workspace: Workspace, stations: Stations) -> None:
         self._workspace, self._stations = workspace, stations

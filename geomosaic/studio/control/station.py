@@ -50,12 +50,7 @@ class Station:
 
 
 class Stations:
-    """Stations of a workspace, read anew when a file they are made of changes.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    """
+    """Stations of a workspace, read anew when a file they are made of changes."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace

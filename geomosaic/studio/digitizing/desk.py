@@ -22,12 +22,7 @@ from geomosaic.whole_files import plain
 
 
 class FeatureDesk:
-    """Digitizing in a workspace.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    """
+    """Digitizing in a workspace."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace

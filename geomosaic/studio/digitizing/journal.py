@@ -46,10 +46,6 @@ class PendingEdit:
 class FeatureJournal:
     """File of lines, each on the disk before the page is answered; a torn last line is of nothing that was answered.
 
-    Parameters
-    ----------
-    path : Path
-
     Attributes
     ----------
     pending : list of PendingEdit

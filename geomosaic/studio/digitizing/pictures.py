@@ -54,12 +54,7 @@ class Photo:
 
 
 class FeaturePictures:
-    """Pictures of a workspace.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    """
+    """Pictures of a workspace."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace

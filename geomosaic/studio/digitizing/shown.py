@@ -24,12 +24,7 @@ _BEYOND = 0.2
 
 
 class ShownFeatures:
-    """Features of a layer for a page.
-
-    Parameters
-    ----------
-    table : FeatureTable
-    """
+    """Features of a layer for a page."""
 
     def __init__(self, table: FeatureTable) -> None:
         self._known = {key: one.geometry for key, one in table.features.items() if one.geometry is not None}

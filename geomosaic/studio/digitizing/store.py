@@ -29,10 +29,6 @@ _AGAIN = 2.0
 class FeatureStore:
     """Layers of a project, edited one edit at a time.
 
-    Parameters
-    ----------
-    journal : Path
-
     Attributes
     ----------
     waiting : tuple
