@@ -19,7 +19,7 @@ import numpy as np
 from geomosaic.errors import InputError, default_hint, listed
 from geomosaic.interchange.colmap import check_quaternion, quaternion_matrix
 from geomosaic.interchange.colmap_binary import Cursor
-from geomosaic.interchange.files import all_numbers, of_image
+from geomosaic.interchange.files import all_numbers, number_text, of_image
 from geomosaic.interchange.reconstruction import ImagePoints, ImagePose, ObjectPoints, Reconstruction
 from geomosaic.sensor.inputs import LARGEST
 from geomosaic.types import FloatArray, IntArray
@@ -223,7 +223,7 @@ def adjustment_text(translation: FloatArray, rotation: FloatArray) -> str:
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
-    return f"{' '.join(map(repr, np.asarray(translation, dtype=np.float64).tolist()))}\n{w!r} {x!r} {y!r} {z!r}\n"
+    return f"{number_text(translation)}\n{w!r} {x!r} {y!r} {z!r}\n"
 
 
 def adjusted(pose: ImagePose, translation: FloatArray, rotation: FloatArray) -> ImagePose:

@@ -18,7 +18,7 @@ import numpy as np
 
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import angle_axis
-from geomosaic.interchange.files import LARGEST, all_numbers, decoded
+from geomosaic.interchange.files import LARGEST, all_numbers, decoded, number_text
 from geomosaic.interchange.reconstruction import (
     ImagePoints,
     ImagePose,
@@ -268,7 +268,7 @@ def bundler_texts(found: Reconstruction) -> dict[str, str]:
     views = _views(found, "Bundler")
     lines = [HEADER, f"{len(views.lens)} {len(views.xyz)}"]
     for lens, rotation, translation in zip(views.lens, views.rotation, views.translation, strict=True):
-        lines += [_line(row) for row in (lens, *rotation, translation)]
+        lines += [number_text(row) for row in (lens, *rotation, translation)]
     colour = found.points.colours[found.points.known]
     order = np.argsort(views.point, kind="stable")
     first = np.searchsorted(views.point[order], np.arange(len(views.xyz) + 1))
@@ -277,9 +277,9 @@ def bundler_texts(found: Reconstruction) -> dict[str, str]:
         listed = [str(first[index + 1] - first[index])]
         for at in order[first[index] : first[index + 1]]:
             image = views.image[at]
-            listed.append(f"{image} {keys[image]} {_line(views.xy[at])}")
+            listed.append(f"{image} {keys[image]} {number_text(views.xy[at])}")
             keys[image] += 1
-        lines += [_line(xyz), " ".join(map(str, tint.tolist())), " ".join(listed)]
+        lines += [number_text(xyz), " ".join(map(str, tint.tolist())), " ".join(listed)]
     names = [image.name for image in found.images]
     return {"bundle.out": "\n".join([*lines, ""]), "list.txt": "\n".join([*names, ""])}
 
@@ -291,7 +291,7 @@ def _bal_text(found: Reconstruction) -> str:
     views = _views(found, "BAL")
     lines = [f"{len(views.lens)} {len(views.xyz)} {len(views.xy)}"]
     rows = zip(views.image.tolist(), views.point.tolist(), views.xy, strict=True)
-    lines += [f"{image} {point}     {_line(xy)}" for image, point, xy in rows]
+    lines += [f"{image} {point}     {number_text(xy)}" for image, point, xy in rows]
     vectors = Rotation.from_matrix(views.rotation).as_rotvec() if len(views.lens) else np.zeros((0, 3))
     cameras = np.column_stack([vectors, views.translation, views.lens])
     lines += [repr(value) for value in (*cameras.ravel().tolist(), *views.xyz.ravel().tolist())]
@@ -311,7 +311,3 @@ def bal_bytes(found: Reconstruction, ending: str) -> bytes:
     if ending == ".bz2":
         return bz2.compress(data)
     return gzip.compress(data, mtime=0) if ending == ".gz" else data
-
-
-def _line(values: FloatArray) -> str:
-    return " ".join(map(repr, np.asarray(values, dtype=np.float64).tolist()))

@@ -373,10 +373,7 @@ def _numbers(names: Sequence[str]) -> list[int]:
 def _camera(number: str, table: Mapping[str, Any], name: str) -> CameraRecord:
     """Record of a camera table: the smallest model that has all it gives."""
     camera = pixel_camera(table, f"camera {name}")
-    if camera.size is None:
-        raise InputError(
-            "the size of its images is not known", where=f"camera {name}", hint="give it with Reconstruction.with_sizes"
-        )
+    size = camera.known_size(f"camera {name}")
     # Only the rational model has r⁶, of which the polynomial one is a case.
     kind = "opencv" if camera.model == "brown" and camera.lens.get("k3") else camera.model
     fitting = sorted((len(names), model) for model, (lens, names) in MODELS.items() if lens == kind)
@@ -387,7 +384,7 @@ def _camera(number: str, table: Mapping[str, Any], name: str) -> CameraRecord:
     model = next(m for _, m in fitting if given <= set(MODELS[m][1]) and (one or "f" not in MODELS[m][1]))
     focal = camera.focal[:1] if "f" in MODELS[model][1] else camera.focal
     rest = [camera.lens.get(key, 0.0) for key in MODELS[model][1][len(focal) + 2 :]]
-    return CameraRecord(number, model, camera.size, (*focal, *camera.principal, *rest))
+    return CameraRecord(number, model, size, (*focal, *camera.principal, *rest))
 
 
 def text_of(model: SparseModel) -> dict[str, str]:

@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import LARGEST as LARGEST_NUMBER
@@ -122,6 +123,16 @@ def all_numbers(text: str, where: str, first_line: int = 1) -> FloatArray:
                 what = f"'{word[:40]}' is not a finite number of a sensible size"
                 raise InputError(what, where=f"{where}, line {at}", hint=None)
     raise InputError("the file holds something else than numbers", where=where, hint=None)
+
+
+def number_text(values: ArrayLike) -> str:
+    """Numbers with all their digits and blanks between, as texts of other programs have them.
+
+    Parameters
+    ----------
+    values : array
+    """
+    return " ".join(map(repr, np.asarray(values, dtype=np.float64).ravel().tolist()))
 
 
 def program_of(path: Path) -> str | None:

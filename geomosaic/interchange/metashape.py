@@ -32,6 +32,7 @@ from pyproj.exceptions import CRSError
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.local_frames import omega_phi_kappa
+from geomosaic.interchange.files import number_text
 from geomosaic.interchange.reconstruction import Reconstruction, Tables, pixel_camera
 from geomosaic.sensor.inputs import finite_numbers, parse_xml
 from geomosaic.types import FloatArray
@@ -293,10 +294,10 @@ def metashape_xml(found: Reconstruction) -> str:
             pose = np.eye(4)
             rotation, pose[:3, 3] = image.pose
             pose[:3, :3] = rotation.T
-            SubElement(camera, "transform").text = _number_text(pose)
+            SubElement(camera, "transform").text = number_text(pose)
     transform = SubElement(chunk, "transform")
     for tag, values in (("rotation", axes), ("translation", origin), ("scale", np.ones(1))):
-        SubElement(transform, tag).text = _number_text(values)
+        SubElement(transform, tag).text = number_text(values)
     # Of a geocentric CRS Metashape takes the datum: its own default is the same axes.
     text = 'LOCAL_CS["Local Coordinates (m)",UNIT["metre",1]]' if frame is None else frame.crs.to_wkt("WKT1_GDAL")
     SubElement(chunk, "reference").text = text
@@ -308,14 +309,12 @@ def _add_sensor(sensors: Element, number: str, name: str, table: Mapping[str, An
     """Entry of a camera table."""
     where = f"camera {name}"
     camera = pixel_camera(table, where)
-    if camera.size is None:
-        raise InputError("the size of its images is not known", where=where, hint="give it with `with_sizes`")
     radial = ("k1", "k2", "k3", "k4")
     camera.known_only(
         "Metashape", where, none=("shear",), brown=(*radial, "p1", "p2", "shear"), fisheye=(*radial, "shear")
     )
     kind = camera.model if camera.model in _KINDS else _ORDINARY
-    width, height = map(str, camera.size)
+    width, height = map(str, camera.known_size(where))
     sensor = SubElement(sensors, "sensor", id=number, label=name, type=kind)
     SubElement(sensor, "resolution", width=width, height=height)
     calibration = SubElement(sensor, "calibration", {"class": "adjusted"}, type=kind)
@@ -328,7 +327,3 @@ def _add_sensor(sensors: Element, number: str, name: str, table: Mapping[str, An
     for tag, value in values.items():
         if value or tag == "f":
             SubElement(calibration, tag).text = repr(float(value))
-
-
-def _number_text(values: FloatArray) -> str:
-    return " ".join(map(repr, values.ravel().tolist()))

@@ -355,17 +355,16 @@ def _camera(table: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Entry of `cameras` of a camera table."""
     where = f"camera {name}"
     camera = pixel_camera(table, where)
-    if camera.size is None:
-        raise InputError("the size of its images is not known", where=where, hint="give it with `with_sizes`")
+    width, height = camera.known_size(where)
     most = COEFFICIENTS["fisheye_opencv" if camera.model == "fisheye" else "brown"][1]
     camera.known_only("OpenSfM", where, none=(), brown=most, fisheye=most)
-    longest = max(camera.size)
+    longest = max(width, height)
     c_x, c_y = (value / longest for value in camera.from_middle)
     given = {key for key, value in camera.lens.items() if value}
     plain = camera.focal[0] == camera.focal[1] and c_x == c_y == 0.0
     small, large = _WRITTEN[camera.model]
     kind = small if plain and given <= set(COEFFICIENTS[small][1]) else large
-    entry: dict[str, Any] = {"projection_type": kind, "width": camera.size[0], "height": camera.size[1]}
+    entry: dict[str, Any] = {"projection_type": kind, "width": width, "height": height}
     if kind == small:
         entry["focal"] = camera.focal[0] / longest
     else:

@@ -17,7 +17,6 @@ image. K and R are its RQ decomposition.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.interchange.files import PIX4D
+from geomosaic.interchange.files import PIX4D, number_text
 from geomosaic.interchange.reconstruction import Reconstruction, pixel_camera
 from geomosaic.sensor.inputs import finite_numbers
 from geomosaic.whole_files import check_rows
@@ -239,18 +238,13 @@ def pix4d_texts(found: Reconstruction, name: str) -> dict[str, str]:
     for image, centre in zip(images, centres, strict=True):
         where = f"camera of {image.name}"
         camera = pixel_camera(found.camera_of(image), where)
-        if camera.size is None:
-            raise InputError("the size of the image is not known", where=where, hint="give it with `with_sizes`")
+        width, height = camera.known_size(where)
         brown = ("k1", "k2", "k3", "p1", "p2", "shear")
         camera.known_only("Pix4D", where, none=("shear",), brown=brown)
         (fx, fy), (cx, cy), k = camera.focal, camera.principal, camera.lens
         matrix = np.array([[fx, camera.shear * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         radial, tangential = ([k.get(key, 0.0) for key in keys] for keys in (brown[:3], brown[3:5]))
         rows = (*matrix, radial, tangential, centre - offset, *image.pose[0])
-        lines += [f"{image.name} {camera.size[0]} {camera.size[1]}", *map(_line, rows)]
+        lines += [f"{image.name} {width} {height}", *map(number_text, rows)]
     own = name.removesuffix(PARAMETERS) + OFFSET
-    return {name: "\n".join([*lines, ""]), own: _line(offset) + "\n"}
-
-
-def _line(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
+    return {name: "\n".join([*lines, ""]), own: number_text(offset) + "\n"}

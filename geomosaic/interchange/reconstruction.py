@@ -354,6 +354,12 @@ class PixelCamera:
     shear: float
     one_focal: bool
 
+    def known_size(self, where: str) -> tuple[int, int]:
+        """Width and height; an error where they are not known."""
+        if self.size is None:
+            raise InputError("the size of its images is not known", where=where, hint="give it with `with_sizes`")
+        return self.size
+
     def known_only(self, program: str, where: str, **models: Sequence[str]) -> None:
         """An error where a lens that is not zero has no place in a program's file; models with their coefficients."""
         given = {name for name, value in self.lens.items() if value != 0.0}
