@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
+from geomosaic.stores.path import to_path
 from geomosaic.types import PathLike
 
 
@@ -29,7 +30,7 @@ def sha256(path: PathLike) -> str:
         The file cannot be read.
     """
     try:
-        with Path(path).open("rb") as file:
+        with to_path(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import math
 import os
 import platform
+import posixpath
 import re
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError, OutputError
+from geomosaic.stores.addresses import Address, is_address
+from geomosaic.stores.path import StorePath, given_path, to_path
 from geomosaic.types import PathLike
 
 
@@ -36,11 +41,11 @@ def path_of(given: object, parameter: str) -> Path:
     """
     if not isinstance(given, str | Path):
         raise InputError(f"{type(given).__name__} is no path", where=f"`{parameter}`", hint="give the path of a file")
-    return Path(given)
+    return given_path(given)
 
 
 def relative_path(path: Path, folder: Path) -> str:
-    """Path as seen from a folder, with forward slashes.
+    """Path as seen from a folder, with forward slashes; an address of a store from within the same store.
 
     Parameters
     ----------
@@ -51,6 +56,10 @@ def relative_path(path: Path, folder: Path) -> str:
     str
         Absolute where there is no way from one to the other, as between drives.
     """
+    remote = [isinstance(each, StorePath) for each in (path, folder)]
+    if any(remote):
+        same = all(remote) and path.parts[:3] == folder.parts[:3]
+        return posixpath.relpath("/".join(path.parts[2:]), "/".join(folder.parts[2:])) if same else str(path.absolute())
     try:
         return Path(os.path.relpath(path.absolute(), folder)).as_posix()
     except ValueError:
@@ -113,7 +122,7 @@ def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
     InputError
         The file is missing, a folder, too large or no UTF-8 text.
     """
-    file = Path(path)
+    file = to_path(path)
     try:
         if file.stat().st_size > largest:
             raise InputError(
@@ -242,7 +251,7 @@ def write_atomic(path: Path, text: str, encoding: str = "utf-8") -> None:
 
 
 def partial(path: Path, suffix: str = "") -> Path:
-    """Name of a file under construction: `.NAME.partial-HOST-PID`, an ending last, in the folder of the final one.
+    """Name of a file under construction: `.NAME.partial-HOST-PID`, an ending last, in the folder where it is made.
 
     Those that dead processes of this machine left of the same final name are removed.
 
@@ -252,6 +261,7 @@ def partial(path: Path, suffix: str = "") -> Path:
     suffix : str
         Ending of the name.
     """
+    path = _workplace_name(path)
     # Some drivers take the first such ending in a name for that of the file, so it stands but once.
     stem = path.stem if suffix and path.suffix.lower() == suffix else path.name
     ours = re.escape(f".partial-{_host()}-")
@@ -261,6 +271,45 @@ def partial(path: Path, suffix: str = "") -> Path:
         if found and not _alive(int(found.group(2))):
             Path(entry.path).unlink(missing_ok=True)
     return path.with_name(f".{stem}.partial-{_host()}-{os.getpid()}{suffix}")
+
+
+def workplace(path: Path) -> Path:
+    """Folder in which a file is made: its own, or the scratch folder for an object of a store.
+
+    Parameters
+    ----------
+    path : Path
+    """
+    return Path(tempfile.gettempdir()) if isinstance(path, StorePath) else path.parent
+
+
+def _workplace_name(path: Path) -> Path:
+    """Final name as it would be in the folder where the file is made; objects of one name do not meet there."""
+    if not isinstance(path, StorePath):
+        return path
+    digest = hashlib.sha256(str(path).encode()).hexdigest()[:12]
+    return workplace(path) / f"geomosaic-{digest}-{path.name}"
+
+
+def put_in_place(unfinished: Path, path: Path) -> None:
+    """Give a whole file its final name: on the disk at once, in a store by an upload that is seen at its end.
+
+    Parameters
+    ----------
+    unfinished, path : Path
+
+    Raises
+    ------
+    OSError, InputError
+        The file cannot be moved, or the store refuses it.
+    """
+    if isinstance(path, StorePath):
+        path.upload(unfinished)
+        return
+    # The bytes must be on the disk before the name is, or a power cut leaves a final name on a file in pieces.
+    sync(unfinished)
+    unfinished.replace(path)
+    sync(path.parent)
 
 
 def remove(unfinished: Path) -> None:
@@ -330,9 +379,7 @@ def under_construction(path: Path, suffix: str = "", failures: tuple[type[Except
     try:
         unfinished = partial(path, suffix)
         yield unfinished
-        sync(unfinished)
-        unfinished.replace(path)
-        sync(path.parent)
+        put_in_place(unfinished, path)
     except failing as error:
         raise OutputError(
             f"writing failed ({getattr(error, 'strerror', None) or error})",
@@ -394,5 +441,7 @@ def absolute(name: str) -> str:
     ----------
     name : str
     """
+    if is_address(name):
+        return Address(name)
     path = Path(name)
     return str(path.absolute()) if path.exists() else name

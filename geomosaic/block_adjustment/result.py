@@ -33,6 +33,7 @@ from geomosaic.report.tied_images import TiedImages, tie_facts, tied_images
 from geomosaic.sensor.corrected import model_to_dict
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.sensor.solve import expected_errors
+from geomosaic.stores.path import given_path
 from geomosaic.surface.dem import Dem
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import plain, write_atomic
@@ -362,7 +363,7 @@ class AdjustedBlock:
         dict of str to Path
             Files by what they hold; no 'exterior' where no image has one.
         """
-        base = Path(folder)
+        base = given_path(folder)
         (base / "models").mkdir(parents=True, exist_ok=True)
         for index, scene in enumerate(self.scenes):
             write_atomic(base / "models" / f"{scene.name}.json", json.dumps(plain(self.model_state(index)), indent=1))

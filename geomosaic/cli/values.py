@@ -33,6 +33,11 @@ class FilePath(click.Path):
         except UnicodeEncodeError:
             shown = str(value).encode(errors="backslashreplace").decode()
             self.fail(f"the name '{shown}' has bytes that are not UTF-8; rename the file or folder", param, ctx)
+        given = str(value)
+        if "://" in given or given.startswith("/vsi"):
+            from geomosaic.stores.path import given_path
+
+            return given_path(given)
         return super().convert(value, param, ctx)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
@@ -29,6 +28,7 @@ from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import open_raster
+from geomosaic.stores.path import to_path
 from geomosaic.types import FloatArray, PathLike
 
 # Of newer and of older versions.
@@ -328,7 +328,7 @@ def recognise(path: PathLike) -> str:
         None of them; what each looks like is listed.
     """
     try:
-        with Path(path).open("rb") as file:
+        with to_path(path).open("rb") as file:
             start = file.read(4096)
     except OSError:
         start = b""  # reading the lines says what is wrong

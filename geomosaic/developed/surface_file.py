@@ -17,6 +17,7 @@ from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.sensor.plausibility import DATUMS
+from geomosaic.stores.path import to_path
 from geomosaic.surface.developed.ellipsoid import PLAN, PROJECTIONS, Ellipsoid, Triaxial
 from geomosaic.surface.developed.fit import SIZES, FittedPrimitive
 from geomosaic.surface.developed.placement import Developed
@@ -99,7 +100,7 @@ def _read_surface(path: PathLike) -> SurfaceFile:
         )
     _known(given, kind, where)
     crs = _crs(given, where)
-    fitted = _fitted(given, kind, crs, Path(path), where) if "points" in given else None
+    fitted = _fitted(given, kind, crs, to_path(path), where) if "points" in given else None
     frame, axes, body, facts, notes = fitted or _given(given, kind, crs, where)
     inside = given.get("side", "outside")
     if inside not in ("inside", "outside"):
@@ -114,9 +115,9 @@ def _read_surface(path: PathLike) -> SurfaceFile:
             f"bottom = {bottom:g} is not below top = {top:g}", where=where, hint="swap them, or leave one out"
         )
     surface = Developed(body, axes, inside == "inside", bottom, top, frame)
-    files = (Path(path), *([Path(path).parent / given["points"]] if "points" in given else []))
+    files = (to_path(path), *([to_path(path).parent / given["points"]] if "points" in given else []))
     facing = kind != "plane" or "normal" in given
-    return SurfaceFile(Path(path), surface, crs, facing, {"kind": kind, **facts}, notes, files)
+    return SurfaceFile(to_path(path), surface, crs, facing, {"kind": kind, **facts}, notes, files)
 
 
 def _known(given: Mapping[str, Any], kind: str, where: str) -> None:

@@ -31,6 +31,7 @@ from geomosaic.raster.pictures import raster_grid, read_bands
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.resample.warp import value_range
+from geomosaic.stores.path import given_path
 from geomosaic.types import AnyArray, FloatArray, PathLike
 
 
@@ -189,7 +190,7 @@ def enhance(
     ------
     InputError, OutputExistsError, OutputError
     """
-    raster, output = Path(raster), Path(output)
+    raster, output = given_path(raster), given_path(output)
     chosen = compose(EnhanceOptions, options)
     hillshade, sharpen = chosen.hillshade, chosen.sharpen
     radius = chosen.radius or 1.0
@@ -282,7 +283,7 @@ def pan_sharpen(
     ------
     InputError, OutputExistsError, OutputError
     """
-    raster, pan, output = Path(raster), Path(pan), Path(output)
+    raster, pan, output = given_path(raster), given_path(pan), given_path(output)
     check_output(output, overwrite=overwrite, inputs=(raster, pan), geotiff=True)
     with Source(raster) as coarse, Source(pan) as fine:
         low, high = raster_grid(coarse, str(raster)), raster_grid(fine, str(pan))

@@ -18,6 +18,7 @@ from pyproj.exceptions import CRSError
 
 from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.engineering_crs import LOCAL, VERTICAL, local_frame_crs
+from geomosaic.stores.path import to_path
 from geomosaic.types import PathLike
 
 DATA = Path(__file__).parent / "data"
@@ -328,7 +329,7 @@ def _compound(flat: CRS, vertical: CRS) -> CRS:
 
 
 def _geoid_grid(path: PathLike, where: str | None) -> CRS:
-    file = Path(path)
+    file = to_path(path)
     if not file.is_file():
         raise HeightDatumError("the geoid grid does not exist", where=where or str(path), hint="check the path")
     odd = "".join(sorted({mark for mark in str(file.resolve()) if mark in _NOT_IN_PROJ or not mark.isprintable()}))

@@ -28,6 +28,7 @@ from geomosaic.raster.info import SourceInfo, control_point_count, inspect
 from geomosaic.render.extent import grid_of, note_far_crs, output_grid, utm_zone
 from geomosaic.render.ortho import OrthoResult, ortho
 from geomosaic.sensor.registry import plane_sensor
+from geomosaic.stores.path import to_path
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
 
@@ -237,7 +238,7 @@ def finish_fit(solution: Solution, grid: Grid, where: str, *, insist: bool) -> S
 
 def _control(info: SourceInfo, given: ControlOptions, bands: tuple[int, ...] | None, like: Grid | None) -> Reading:
     """Control points: those given, found in a reference or in the image itself, or the world file beside it."""
-    image = Path(info.path)
+    image = to_path(info.path)
     if isinstance(given.control, ControlPoints):
         return Reading(given.control.without(given.without, "`control`"), "values")
     if given.reference is not None:
@@ -262,7 +263,7 @@ def _found_control(info: SourceInfo, given: ControlOptions, reference: Path, ban
 
     scene, grid = georeferenced(reference, "the reference")
     with (opened := Reference.open(scene, grid)).drawer:
-        found = match_anywhere(Path(info.path), bands, SearchedReference(opened))
+        found = match_anywhere(to_path(info.path), bands, SearchedReference(opened))
     sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2.0)
     # The search for blunders compares every point with all: more than these tell no more of one plane fit.
     kept = np.sort(spread(found.colrow, -sigma, max(info.size) / CELLS, MOST_FOUND))
@@ -278,7 +279,7 @@ def _found_control(info: SourceInfo, given: ControlOptions, reference: Path, ban
 
 
 def _control_of_image(info: SourceInfo) -> Path:
-    image = Path(info.path)
+    image = to_path(info.path)
     if control_point_count(image):
         return image
     beside = _world_file(image)

@@ -11,6 +11,7 @@ from pyproj import CRS
 from geomosaic.control.points import ControlPoints
 from geomosaic.geo.crs import in_degrees
 from geomosaic.inputs.tie_points import ACCURACY, accuracy_columns, quoted
+from geomosaic.stores.path import given_path
 from geomosaic.types import PathLike
 from geomosaic.whole_files import write_atomic
 
@@ -38,5 +39,5 @@ def write_control(path: PathLike, control: Mapping[str, ControlPoints], crs: CRS
         for name, (x, y, z, *rest), accuracies in zip(points.names, rows, accuracy, strict=True):
             values = ",".join(f"{value:.4f}" for value in (*rest, *accuracies))
             lines.append(f"{name},{x:.{digits}f},{y:.{digits}f},{z:.4f},{quoted(image)},{values}")
-    write_atomic(Path(path), "\n".join(lines) + "\n")
-    return Path(path)
+    write_atomic(given_path(path), "\n".join(lines) + "\n")
+    return given_path(path)

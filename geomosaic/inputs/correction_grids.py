@@ -16,6 +16,7 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.inputs.tables import read_table
 from geomosaic.sensor.corrected import BEYOND, METHODS, CorrectionGrid
+from geomosaic.stores.path import to_path
 from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import read_text, write_atomic
 
@@ -42,7 +43,8 @@ def read_corrections(path: PathLike) -> CorrectionGrid:
         Names the file, and the line where one is wrong.
     """
     try:
-        return _raster(Path(path)) if Path(path).suffix.lower() in _RASTERS else _table(Path(path))
+        file = to_path(path)
+        return _raster(file) if file.suffix.lower() in _RASTERS else _table(file)
     except InputError as error:
         error.where = error.where or str(path)
         raise
@@ -68,7 +70,7 @@ def write_corrections(path: PathLike, grid: CorrectionGrid, *, overwrite: bool =
     """
     from geomosaic.raster.files import check_output
 
-    file = Path(path)
+    file = to_path(path)
     check_output(file, overwrite=overwrite)
     if file.suffix.lower() in _RASTERS:
         _write_raster(file, grid)

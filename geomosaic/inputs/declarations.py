@@ -15,6 +15,7 @@ from geomosaic.inputs.tables import file_of_image
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.inputs import camera_file
 from geomosaic.sensor.registry import check_camera, plane_sensor
+from geomosaic.stores.path import to_path
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
@@ -409,7 +410,7 @@ def file_of(given: object) -> Path | None:
         None of an input that is given as a value, or not at all.
     """
     if isinstance(given, Dem):
-        return Path(given.path) if given.path else None
+        return to_path(given.path) if given.path else None
     return given if isinstance(given, Path) else None
 
 
@@ -438,7 +439,7 @@ def leave_out(images: Sequence[Path], roles: Mapping[str, Path | None]) -> tuple
 
 def _grid(heights: str | None) -> Path | None:
     """Path of a geoid grid, where a vertical datum is given as one."""
-    return Path(heights) if heights and heights.lower().endswith(GEOID_FILES) else None
+    return to_path(heights) if heights and heights.lower().endswith(GEOID_FILES) else None
 
 
 def _beside(exterior: Path | ExteriorTable | None, angles: str, images: Sequence[Path]) -> tuple[Path, ...]:

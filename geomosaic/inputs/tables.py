@@ -16,6 +16,7 @@ import numpy as np
 
 from geomosaic import whole_files
 from geomosaic.errors import InputError, counted, did_you_mean
+from geomosaic.stores.path import to_path
 from geomosaic.types import FloatArray, IntArray, PathLike
 from geomosaic.whole_files import LARGEST_TEXT, LARGEST_TIES, read_lines
 
@@ -403,7 +404,7 @@ def file_of_image(pattern: str, image: str) -> Path:
         Path in which '{image}' is replaced by the image's name without folder and extension.
     image : str
     """
-    return Path(pattern.replace("{image}", stem(image)))
+    return to_path(pattern.replace("{image}", stem(image)))
 
 
 def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:

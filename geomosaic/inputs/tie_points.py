@@ -13,6 +13,7 @@ from geomosaic.errors import InputError
 from geomosaic.inputs.tables import find_by_name, read_columns, read_table
 from geomosaic.interchange.formats import format_of, read_reconstruction
 from geomosaic.interchange.reconstruction import Reconstruction
+from geomosaic.stores.path import given_path, to_path
 from geomosaic.types import FloatArray, PathLike
 from geomosaic.whole_files import write_atomic
 
@@ -111,8 +112,8 @@ class TiePoints:
         ):
             cells = ",".join("" if np.isnan(value) else f"{value:.4f}" for value in values)
             lines.append(f"{quoted(point)},{quoted(image)},{col:.4f},{row:.4f},{cells}")
-        write_atomic(Path(path), "\n".join(lines) + "\n")
-        return Path(path)
+        write_atomic(given_path(path), "\n".join(lines) + "\n")
+        return given_path(path)
 
     def origin(self, row: int) -> str:
         """File and line of a measurement, for messages.
@@ -183,8 +184,8 @@ def read_ties(path: PathLike, sizes: Mapping[str, tuple[int, int]] | None = None
     InputError
         Names file and line.
     """
-    if format_of(Path(path)) is not None:
-        return _of_program(Path(path), sizes or {})
+    if format_of(to_path(path)) is not None:
+        return _of_program(to_path(path), sizes or {})
     whole = read_columns(path, "tie point table", ",".join(COLUMNS), COLUMNS[:2], COLUMNS[2:], ACCURACY)
     if whole is not None and not (whole[1][:, 2:5] <= 0.0).any():
         (points, images), values, origins = whole

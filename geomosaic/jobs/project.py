@@ -39,6 +39,7 @@ from geomosaic.project.load import Project, load_project
 from geomosaic.project.sample_block import copy_sample
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import capabilities
+from geomosaic.stores.path import to_path
 from geomosaic.types import PathLike, Progress
 from geomosaic.whole_files import path_of
 
@@ -66,7 +67,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     master, said_of_master = with_companions(project, () if reference_raster is None else (reference_raster,))
     drawn = tuple(path for path in paths_of(options) if path != reference_raster)
     named = project.area.dst_crs or ""
-    frame = (Path(named),) if named.lower().endswith(CRS_FILES) else ()
+    frame = (to_path(named),) if named.lower().endswith(CRS_FILES) else ()
     masks = tuple(dict.fromkeys(file for part in blocks for file in part.masks))
     tables = tuple(
         dict.fromkeys(file for part in blocks for file in (*part.tables, *sensor_files(part.sensor, part.images)))

@@ -37,6 +37,7 @@ from geomosaic.options.control import DrawOptions, LocateOptions
 from geomosaic.options.declaration import compose
 from geomosaic.raster.vector import VectorProduct, read_layer, read_product
 from geomosaic.sensor.plugin import SensorModel
+from geomosaic.stores.path import given_path
 from geomosaic.surface.dem import Dem, height_sigmas
 from geomosaic.surface.model import Surface
 from geomosaic.types import FloatArray, PathLike
@@ -171,7 +172,7 @@ def locate(
     ------
     InputError, SolveError, OutputError
     """
-    source = Path(pixels) if isinstance(pixels, str | Path) else None
+    source = given_path(pixels) if isinstance(pixels, str | Path) else None
     points = np.empty((0, 2)) if source is not None else _points(pixels)
     file, request = None if output is None else path_of(output, "output"), compose(LocateOptions, options)
     inputs = MonoplotInputs(on_ground(block_of(scene, "scene"), dem, dem_heights), source, file, overwrite)

@@ -53,6 +53,7 @@ from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
 from geomosaic.sensor.lattice import blocks
 from geomosaic.sensor.map_to_image import Ground
+from geomosaic.stores.path import to_path
 from geomosaic.surface.model import Plane
 from geomosaic.types import IntArray
 
@@ -416,7 +417,7 @@ def mosaic(
             sources = SourceImages(outlines, shares, pixels.by_image, solved, facts)
             write_vectors(files.vectors, grid, sources, parts, quality, overwrite=render.overwrite)
         if files.item is not None and checksum is not None:
-            images, sums = [Path(scene.path) for scene in block.scenes], {output: checksum.result()}
+            images, sums = [to_path(scene.path) for scene in block.scenes], {output: checksum.result()}
             columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
             if files.tiled:
                 write_collection(files, grid, shapes, images, pixels.files, columns, overwrite=render.overwrite)
@@ -508,7 +509,7 @@ def _by_rule(
             sources = SourceImages(outlines, [Polygon() for _ in outlines], pixels.by_image, solved, facts)
             write_vectors(files.vectors, grid, sources, [], overwrite=render.overwrite)
         if files.item is not None:
-            images, shapes = [Path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
+            images, shapes = [to_path(scene.path) for scene in block.scenes], [outline.polygon for outline in outlines]
             columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
             if files.tiled:
                 write_collection(files, grid, shapes, images, pixels.files, columns, overwrite=render.overwrite)

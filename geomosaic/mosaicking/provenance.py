@@ -73,7 +73,7 @@ def source_facts(
 
 
 def _facts_of_image(photos: Photos, summed: Collection[int], index: int) -> tuple[dict[str, Any], str | None]:
-    """Acquisition and view of an image, and its checksum, where it is a file and that is not known."""
+    """Acquisition and view of an image, and its checksum, where it is a file of this machine and that is not known."""
     scene = photos.block.scenes[index]
     with photos.using(index) as photo:
         geometry = view_geometry(photo, photos, photos.grid, np.array([photos.outlines[index].centre]))

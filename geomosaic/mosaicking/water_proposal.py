@@ -25,6 +25,7 @@ from geomosaic.raster.files import check_output
 from geomosaic.raster.source import Source
 from geomosaic.raster.validity import polygons_of_labels
 from geomosaic.raster.vector import Layer, VectorProduct, write_layers
+from geomosaic.stores.path import given_path
 from geomosaic.surface.dem import Dem
 from geomosaic.types import BoolArray, FloatArray, IntArray, PathLike
 
@@ -289,7 +290,7 @@ def propose_water(
     """
     import shapely
 
-    image, dem, output, wanted = Path(image), Path(dem), Path(output), compose(WaterOptions, options)
+    image, dem, output, wanted = given_path(image), given_path(dem), given_path(output), compose(WaterOptions, options)
     if output.suffix.lower() != ".gpkg":
         raise InputError("areas are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
     check_output(output, overwrite=overwrite, inputs=(image, dem))

@@ -21,6 +21,8 @@ from geomosaic.options.declaration import (
     flat_values,
     is_part,
 )
+from geomosaic.stores.addresses import accept, is_address
+from geomosaic.stores.path import given_path
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -91,8 +93,10 @@ def _checked(value: Any, kind: Any, option: Option, where: str, *, optional: boo
             raise InputError(what, where=where, hint=error.hint) from None
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value) if abs(value) < LARGEST else math.inf
+    if kind is str and isinstance(value, str) and is_address(value):  # of files that go with images, for example
+        value = accept(value)
     if kind is Path and isinstance(value, str):
-        value = Path(value)
+        value = given_path(value)
     if hasattr(value, "item") and kind in (int, float, bool):  # a NumPy scalar
         value = kind(value.item())
     # To Python true is the number 1; to a user it is not.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 from geomosaic.errors import InputError
 from geomosaic.options.check import CheckedOptions, check_idle
 from geomosaic.options.declaration import named_only, option
+from geomosaic.stores.path import given_path
 
 if TYPE_CHECKING:
     from geomosaic.types import Progress
@@ -215,7 +216,7 @@ def _parse_height_sigma(value: Any) -> float | Path:
     except (TypeError, ValueError):
         metres = math.nan
         if isinstance(value, str) and value.strip():
-            return Path(value)
+            return given_path(value)
     if not 0.0 <= metres < math.inf:
         raise InputError(
             f"'{value}' is no standard deviation of heights", hint="give metres, 0 or more, or the path of a raster"

@@ -27,6 +27,7 @@ from geomosaic.products.orthos import place_by_control, placement_files, positio
 from geomosaic.raster.files import check_output, companion
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import plane_sensor
+from geomosaic.stores.path import to_path
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of, write_atomic
@@ -202,7 +203,7 @@ def mosaic_oriented(block: OrientedBlock, area: Area, output: Path, options: Mos
     GeomosaicError
         InputError, OutputError or SolveError; nothing is left under the final names.
     """
-    check_outputs(output, options, [Path(scene.path) for scene in block.scenes])
+    check_outputs(output, options, [to_path(scene.path) for scene in block.scenes])
     if options.uncertainty.accuracy and options.uncertainty.sigmas:
         scenes = tuple(with_sigmas(scene, options.uncertainty.sigmas) for scene in block.scenes)
         block = replace(block, scenes=scenes)

@@ -30,6 +30,7 @@ from geomosaic.render.extent import grid_of, nice
 from geomosaic.render.ortho import OrthoResult, stack
 from geomosaic.render.ortho import ortho as render_ortho
 from geomosaic.sensor.registry import relative_sensor
+from geomosaic.stores.path import to_path
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of, write_atomic
@@ -173,7 +174,7 @@ def ortho_oriented(
         raise InputError(what, where="`scene`", hint="name the image: `adjusted.block(NAME)`")
     beside = [companion(output, "-accuracy", ".tif")] if wanted.accuracy else []
     for file in (output, *beside):
-        read = (Path(block.scenes[0].path), *paths_of(wanted))
+        read = (to_path(block.scenes[0].path), *paths_of(wanted))
         check_output(file, overwrite=options.overwrite, inputs=read, geotiff=file == output)
     return _rendered(block, area, output, options, wanted)
 

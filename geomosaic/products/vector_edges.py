@@ -25,6 +25,7 @@ from geomosaic.raster.vector import (
     plain_tables,
     read_layer,
 )
+from geomosaic.stores.path import given_path
 from geomosaic.types import BoolArray, FloatArray, IntArray, PathLike
 from geomosaic.whole_files import under_construction
 
@@ -110,7 +111,7 @@ def match_vector_edges(
     OutputError, OutputExistsError
     """
     asked = compose(VectorEdgeOptions, options)
-    paths, output = [Path(path) for path in sheets], Path(output)
+    paths, output = [given_path(path) for path in sheets], given_path(output)
     if len(paths) < 2:
         raise InputError("edges are matched between two sheets or more", where="`sheets`", hint="name another file")
     if twice := [str(path) for path in paths if [each.resolve() for each in paths].count(path.resolve()) > 1]:

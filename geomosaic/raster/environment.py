@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import lru_cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree import ElementTree
 
@@ -17,6 +17,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geomosaic.errors import RasterReadError
 from geomosaic.raster.formats import READ_DRIVERS, SUBDATASETS, drivers_of
+from geomosaic.stores.path import StorePath, to_path
 
 # Decoded blocks that GDAL keeps, over all files and threads of the process; and their part of a memory limit. It keeps
 # them full even of files of which each block is read once.
@@ -123,6 +124,8 @@ _DEEPEST = 8
 # Beside a raster, GDAL opens these in whatever format they are.
 _SIDECARS = (".ovr", ".OVR", ".msk", ".MSK")
 _DATASET_KEYS = ("X_DATASET", "Y_DATASET", "OVERVIEW_FILE")
+# rasterio's file system of an opener.
+_SERVED = "/vsiriopener_"
 _BASE = ":::BASE:::"  # "in the folder of this file", as GDAL writes it
 
 
@@ -161,11 +164,13 @@ def check_files(dataset: Any, path: str) -> None:
         if _REMOTE.search(overviews):
             raise _not_local(overviews, path)
         inside = overviews.startswith(_BASE)
-        file = Path(path).parent / overviews.removeprefix(_BASE) if inside else Path(overviews)
+        file = to_path(path).parent / overviews.removeprefix(_BASE) if inside else Path(overviews)
         if file.is_file():
             _sources(file, 1)
+    # What is opened in a store is served by `store_files`, which opens nothing else.
+    served = isinstance(to_path(path), StorePath)
     for name in dataset.files:
-        if name != path and _REMOTE.search(_file_of(name)):
+        if name != path and not (served and name.startswith(_SERVED)) and _REMOTE.search(_file_of(name)):
             raise _not_local(name, path)
 
 
@@ -180,10 +185,8 @@ def _sources(path: Path, depth: int) -> tuple[Path, ...]:
         raise RasterReadError(
             f"virtual rasters are nested more than {_DEEPEST} deep", where=str(path), hint="make one of the images"
         )
-    for suffix in _SIDECARS:
-        sidecar = path.with_name(path.name + suffix)
-        if sidecar.is_file():
-            _sources(sidecar, depth + 1)
+    for sidecar in _sidecars(path):
+        _sources(sidecar, depth + 1)
     try:
         stat = path.stat()
         names = _names(path, stat.st_size, stat.st_mtime_ns, depth > 0)
@@ -196,6 +199,8 @@ def _sources(path: Path, depth: int) -> tuple[Path, ...]:
         name = _file_of(named)
         if _REMOTE.search(name):
             raise _not_local(name, str(path))
+        if isinstance(path, StorePath) and (not relative or ".." in PurePosixPath(name).parts or name.startswith("/")):
+            raise _not_local(name, str(path))
         source = path.parent / name if relative else Path(name)
         if source.is_file():
             found.update(dict.fromkeys((source, *_sources(source, depth + 1))))
@@ -206,6 +211,14 @@ def _sources(path: Path, depth: int) -> tuple[Path, ...]:
                 hint="bring that file to its place, or make the virtual raster again",
             )
     return tuple(found)
+
+
+def _sidecars(path: Path) -> list[Path]:
+    """Overviews and masks beside a raster."""
+    names = [path.name + suffix for suffix in _SIDECARS]
+    if isinstance(path, StorePath):
+        return [file for file in path.neighbours() if file.name in names]
+    return [file for name in names if (file := path.with_name(name)).is_file()]
 
 
 @lru_cache(maxsize=4096)
@@ -275,7 +288,7 @@ def _readable(path: Path) -> None:
     with environment():
         for driver in drivers_of(path):
             with suppress(RasterioError, OSError):
-                with opening(), rasterio.open(str(path), driver=driver) as dataset:
+                with opening(), rasterio.open(str(path), driver=driver, **opened(path)) as dataset:
                     check_files(dataset, str(path))
                 return
     raise RasterReadError(
@@ -283,6 +296,22 @@ def _readable(path: Path) -> None:
         where=str(path),
         hint=f"check that it is whole and of a known format ({', '.join(READ_DRIVERS)}); delete it if it is not needed",
     )
+
+
+def opened(path: Path, sources: Sequence[Path] = ()) -> dict[str, Any]:
+    """Arguments of `rasterio.open` for a raster: what serves its bytes, where it lies in a store.
+
+    Parameters
+    ----------
+    path : Path
+    sources : sequence of Path
+        Files that it is made of, those of a virtual raster.
+    """
+    if not isinstance(path, StorePath):
+        return {}
+    from geomosaic.raster.store_files import StoreFiles
+
+    return {"opener": StoreFiles(path, sources)}
 
 
 def _not_local(name: str, where: str) -> RasterReadError:

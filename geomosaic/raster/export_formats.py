@@ -30,6 +30,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.environment import environment
 from geomosaic.raster.files import check_output
+from geomosaic.stores.path import to_path
 from geomosaic.types import ByteArray, PathLike
 from geomosaic.whole_files import under_construction
 
@@ -54,7 +55,7 @@ def write_raster_pdf(
         GDAL was built without the driver.
     OutputExistsError, OutputError
     """
-    path = Path(path)
+    path = to_path(path)
     check_output(path, overwrite=overwrite)
     with environment(), rasterio.Env() as gdal, warnings.catch_warnings():
         if "PDF" not in gdal.drivers():
@@ -187,7 +188,7 @@ def write_web(path: PathLike, grid: Grid, pixels: ByteArray, *, title: str, over
     ------
     OutputExistsError, OutputError
     """
-    path = Path(path)
+    path = to_path(path)
     check_output(path, overwrite=overwrite)
     target = rasterio.crs.CRS.from_epsg(3857 if path.suffix.lower() == ".mbtiles" else 4326)
     failures = RasterioError, sqlite3.Error, zipfile.BadZipFile

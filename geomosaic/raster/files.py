@@ -13,7 +13,8 @@ from typing import Any
 from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.geo.grid import Grid
-from geomosaic.whole_files import write_atomic
+from geomosaic.stores.path import StorePath
+from geomosaic.whole_files import workplace, write_atomic
 
 _DATABASES = (".gpkg", ".sqlite", ".db", ".mbtiles")
 
@@ -74,6 +75,8 @@ class Hashes:
         entry = self.known.get(str(path))
         if entry and entry[0] == stat.st_size and entry[1] == stat.st_mtime_ns:
             return str(entry[2])
+        if isinstance(path, StorePath):  # not read as a whole: its entity tag is in the time
+            return digest_of(str(path), stat.st_size, stat.st_mtime_ns)
         digest = sha256(path)
         self.known[str(path)] = [stat.st_size, stat.st_mtime_ns, digest]
         return digest
@@ -103,6 +106,8 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = (), ge
     InputError
         The name is a folder's, a device's or an input's, or that of another format, or its folder does not exist.
     """
+    if isinstance(path, StorePath):
+        path.check_writable()
     if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
         raise InputError("the output is one of the inputs", where=str(path), hint="give another name for the output")
     if geotiff and path.suffix.lower() in _OTHER_FORMATS:
@@ -115,7 +120,7 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = (), ge
         raise InputError("the output is no ordinary file", where=str(path), hint="give another name")
     if path.is_dir():
         raise InputError("the output is a folder", where=str(path), hint="give the name of a file in it")
-    if not path.parent.is_dir():
+    if not isinstance(path, StorePath) and not path.parent.is_dir():
         raise InputError(
             "the folder of the output does not exist", where=str(path), hint="make it, or give another path"
         )
@@ -177,7 +182,8 @@ def check_output_size(path: Path, grid: Grid, pixel_bytes: float, most: int | No
     if max(grid.width, grid.height) >= _MOST_COUNT or grid.width * grid.height / _TILE >= _MOST_COUNT:
         raise InputError(f"{size}, more than a GeoTIFF can hold", where=str(path), hint=coarser)
     needed = grid.width * grid.height * pixel_bytes
-    free = shutil.disk_usage(path.parent).free if path.parent.is_dir() else math.inf  # another check tells of it
+    folder = workplace(path)
+    free = shutil.disk_usage(folder).free if folder.is_dir() else math.inf  # another check tells of it
     if needed <= (min(free, MOST_OUTPUT) if most is None else most):
         return
     limit = f"{size_text(free)} are free on its disk" if free < MOST_OUTPUT else f"{size_text(MOST_OUTPUT)} are made"

@@ -16,6 +16,7 @@ from rasterio.errors import RasterioError
 from geomosaic.errors import GeomosaicError, OutputError
 from geomosaic.raster.environment import environment, opening
 from geomosaic.raster.info import open_raster
+from geomosaic.stores.path import to_path
 from geomosaic.types import PathLike
 
 
@@ -264,7 +265,7 @@ def pam_has_rpc(path: PathLike) -> bool:
     ----------
     path : path, of the raster
     """
-    notes = Path(path).with_name(f"{Path(path).name}.aux.xml")
+    notes = to_path(path).with_name(f"{to_path(path).name}.aux.xml")
     with suppress(OSError):
         return b'"RPC"' in notes.read_bytes()
     return False

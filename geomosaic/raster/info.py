@@ -21,8 +21,10 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import InputError, RasterReadError
 from geomosaic.options.render import SAMPLE_TYPES
-from geomosaic.raster.environment import check_files, environment, opening, source_files
+from geomosaic.raster.environment import check_files, environment, opened, opening, source_files
 from geomosaic.raster.formats import GRIDS, READ_DRIVERS, SEQUENTIAL, drivers_of, refusal
+from geomosaic.stores.failures import raise_failure
+from geomosaic.stores.path import to_path
 from geomosaic.types import PathLike
 
 # A block larger than this costs more to decode again for a neighbour window than a whole copy costs.
@@ -120,25 +122,27 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     RasterReadError
         The file is missing, a folder, no raster that can be read, or one that reads from elsewhere than this machine.
     """
-    file = Path(path)
+    file = to_path(path)
     if not file.exists():
         raise RasterReadError("the file does not exist", where=str(path), hint="check the path")
     if file.is_dir():
         raise RasterReadError("this is a folder, not a raster", where=str(path), hint="name the file in it")
-    source_files(file)
+    sources = source_files(file)
+    served = opened(file, sources)
     reason: Exception | None = None
     # Direct reads are 2 to 5 times as fast. Only for tiled files: with strips, GDAL would not notice a truncated one.
     with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), opening():
         for driver in drivers_of(file):
             try:
-                dataset = rasterio.open(str(path), driver=driver)
+                dataset = rasterio.open(str(file), driver=driver, **served)
             except FAILURES as error:
+                raise_failure()
                 # The driver that knew the format says why; the others only that they do not know it.
                 if reason is None or "not recognized" in str(reason):
                     reason = error
             else:
                 with _metadata(str(path)):
-                    check_files(dataset, str(path))
+                    check_files(dataset, str(file))
                 return dataset
     if refused := refusal(file):
         raise RasterReadError(

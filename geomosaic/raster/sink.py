@@ -22,8 +22,9 @@ from geomosaic.raster.cog.writer import TileFile
 from geomosaic.raster.creation_options import check_nodata, check_type, creation_options
 from geomosaic.raster.files import check_output, size_text
 from geomosaic.raster.source import Source
+from geomosaic.stores.path import to_path
 from geomosaic.types import AnyArray, ByteArray, PathLike
-from geomosaic.whole_files import partial, remove, sync
+from geomosaic.whole_files import partial, put_in_place, remove, workplace
 
 
 class RasterProduct:
@@ -134,7 +135,7 @@ class RasterSink:
         threads: int = 1,
         metadata: RasterMetadata | None = None,
     ) -> None:
-        self.path = Path(path)
+        self.path = to_path(path)
         self._dtype = check_type(samples.dtype, str(path))
         check_output(self.path, overwrite=overwrite, geotiff=True)
         check_nodata(samples.dtype, samples.nodata, str(path))
@@ -270,14 +271,10 @@ class RasterSink:
             with self._writing(OverflowError):
                 self._tiles.finish()
                 self._tiles.close()
-                # The bytes must be on the disk before the name is, or a power cut leaves a final name on a file in
-                # pieces.
-                sync(self._partial)
                 # GDAL would take statistics, overviews and masks of the old pixels for those of the new ones.
                 for suffix in _SIDECARS:  # of the file that is replaced
                     self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
-                self._partial.replace(self.path)
-                sync(self.path.parent)
+                put_in_place(self._partial, self.path)
         finally:
             self._tiles.close()
             self._remove()
@@ -287,10 +284,10 @@ class RasterSink:
         """Refuse early what cannot fit; compressed sizes are not known before."""
         if not self._raw:
             return
-        free = shutil.disk_usage(self.path.parent).free
+        free = shutil.disk_usage(workplace(self.path)).free
         if self._bytes > free:
             raise OutputError(
-                f"the raster needs {size_text(self._bytes)}, {size_text(free)} are free in {self.path.parent}",
+                f"the raster needs {size_text(self._bytes)}, {size_text(free)} are free in {workplace(self.path)}",
                 where=str(self.path),
                 hint="free some space, write to another disk, or leave out COMPRESS=NONE",
             )
@@ -298,7 +295,7 @@ class RasterSink:
     def _failed(self, error: Exception) -> OutputError:
         """Remove what was written, so that the free space named is what there is for another try."""
         self._remove()
-        free = shutil.disk_usage(self.path.parent).free
+        free = shutil.disk_usage(workplace(self.path)).free
         cause = error.__cause__ or error
         reason = getattr(cause, "strerror", None) or str(cause)
         if getattr(cause, "errno", None) in (errno.EACCES, errno.EPERM, errno.EROFS):
@@ -306,7 +303,7 @@ class RasterSink:
             return OutputError(f"writing failed ({reason})", where=str(self.path), hint=hint)
         return OutputError(
             f"writing failed ({reason}); uncompressed the raster has {size_text(self._bytes)}, {size_text(free)} are "
-            f"free in {self.path.parent.resolve()}",
+            f"free in {workplace(self.path).resolve()}",
             where=str(self.path),
             hint="free some space, write to another disk, or choose a stronger compression (`creation`: COMPRESS=...)",
         )

@@ -17,6 +17,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import SourceInfo, describe, inspect, joined, open_raster
 from geomosaic.raster.validity import Usable, block_mean, combine, missing_by_value, usable_nodata
+from geomosaic.stores.failures import raise_failure
 from geomosaic.types import AnyArray, ByteArray, PathLike
 from geomosaic.whole_files import absolute
 
@@ -383,6 +384,7 @@ class Source:
                 elif self.info.mask_band:
                     mask = dataset.read_masks(self.bands[0], window=area, out_shape=shape)
         except (RasterioError, OSError) as error:
+            raise_failure()
             cause = str(error.__cause__ or error).strip().splitlines()
             raise RasterReadError(
                 f"columns {window.col} to {window.stop_col}, rows {window.row} to {window.stop_row} cannot be read "

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError, OutputError
 from geomosaic.raster.files import check_output
+from geomosaic.stores.path import StorePath, to_path
 from geomosaic.types import PathLike
 from geomosaic.whole_files import MOST_ROWS, check_rows, under_construction
 
@@ -110,7 +112,7 @@ def write_layers(path: PathLike, layers: Mapping[str, Layer], *, overwrite: bool
     """
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, GeometryError
 
-    final = Path(path)
+    final = to_path(path)
     check_output(final, overwrite=overwrite)
     if not layers:
         raise InputError("there is no layer to write", where=str(path), hint="give at least one layer")
@@ -223,10 +225,10 @@ def layer_names(path: PathLike) -> list[str]:
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    if not Path(path).exists():
+    if not to_path(path).exists():
         raise InputError("the file does not exist", where=str(path), hint="check the path")
     try:
-        return [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+        return [str(name) for name in pyogrio.list_layers(readable(path))[:, 0]]
     except (DataSourceError, DataLayerError, IndexError, UnicodeError) as error:  # names of layers and columns
         raise _unreadable(path, error) from error
 
@@ -240,7 +242,7 @@ def plain_tables(path: PathLike) -> list[str]:
     """
     import pyogrio
 
-    return [str(name) for name, kind in pyogrio.list_layers(path) if kind is None]
+    return [str(name) for name, kind in pyogrio.list_layers(readable(path)) if kind is None]
 
 
 def read_table(path: PathLike, name: str) -> Any:
@@ -253,7 +255,40 @@ def read_table(path: PathLike, name: str) -> Any:
     """
     import pyogrio
 
-    return pyogrio.read_dataframe(path, layer=name)
+    return pyogrio.read_dataframe(readable(path), layer=name)
+
+
+# Bytes of a file of vectors in a store, which is read as a whole.
+_LARGEST = 1 << 30
+
+
+def readable(path: PathLike) -> PathLike | bytes:
+    """What OGR reads of a file of vectors: its path, or the bytes of one in a store.
+
+    Parameters
+    ----------
+    path : path
+
+    Raises
+    ------
+    InputError
+        The object is too large, or of a format that has several files.
+    """
+    file = to_path(path)
+    if not isinstance(file, StorePath):
+        return path
+    size = file.stat().st_size
+    if size > _LARGEST or file.suffix.lower() == ".shp":
+        what = "a shapefile is several files" if size <= _LARGEST else f"the file is larger than {_LARGEST >> 30} GB"
+        raise InputError(
+            f"{what}, and from a store vectors are read whole", where=str(path), hint="give a GeoPackage of it"
+        )
+    return _whole(str(file), file.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _whole(path: str, time: int) -> bytes:
+    return to_path(path).read_bytes()
 
 
 def layer_counts(path: PathLike) -> dict[str, int]:
@@ -275,7 +310,9 @@ def layer_counts(path: PathLike) -> dict[str, int]:
     import pyogrio
 
     names = layer_names(path)
-    return {name: int(pyogrio.read_info(path, layer=name, force_feature_count=True)["features"]) for name in names}
+    return {
+        name: int(pyogrio.read_info(readable(path), layer=name, force_feature_count=True)["features"]) for name in names
+    }
 
 
 def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
@@ -307,9 +344,9 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
             warnings.simplefilter("ignore", UserWarning)  # of further layers: the first is what is documented
             warnings.simplefilter("ignore", RuntimeWarning)  # of outlines that do not close: an error of our own tells
             # A limit takes its room before the first row is read, 8 MB a column: only where the rows are not yet known.
-            known = pyogrio.read_info(path, layer=layer or names[0])["features"]
+            known = pyogrio.read_info(readable(path), layer=layer or names[0])["features"]
             most = None if 0 <= known <= MOST_ROWS else MOST_ROWS + 1
-            frame = pyogrio.read_dataframe(path, layer=layer or names[0], max_features=most)
+            frame = pyogrio.read_dataframe(readable(path), layer=layer or names[0], max_features=most)
     except GEOSException as error:
         raise _no_geometry(path, layer or names[0], str(error)) from error
     except (DataSourceError, DataLayerError, IndexError, UnicodeError) as error:  # names of layers and columns
@@ -341,7 +378,7 @@ def _no_geometry(path: PathLike, layer: str, cause: str) -> InputError:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        written = pyogrio.raw.read(path, layer=layer, columns=[])[2]
+        written = pyogrio.raw.read(readable(path), layer=layer, columns=[])[2]
     read = shapely.from_wkb(written, on_invalid="ignore")
     row = next((i for i, (wkb, shape) in enumerate(zip(written, read, strict=True), 1) if wkb and shape is None), 0)
     return InputError(

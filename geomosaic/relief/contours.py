@@ -21,6 +21,7 @@ from geomosaic.raster.files import check_output
 from geomosaic.raster.vector import Layer, VectorProduct, write_layers
 from geomosaic.relief.contour_smoothing import Heights, deviation, on_surface, smooth
 from geomosaic.relief.spot_heights import SpotHeight, find_spots
+from geomosaic.stores.path import given_path
 from geomosaic.surface.dem import Dem
 from geomosaic.types import FloatArray, PathLike
 
@@ -228,7 +229,7 @@ def contours(
     ------
     InputError, OutputExistsError, OutputError
     """
-    dem, output, wanted = Path(dem), Path(output), compose(ContourOptions, options)
+    dem, output, wanted = given_path(dem), given_path(output), compose(ContourOptions, options)
     if output.suffix.lower() != ".gpkg":
         raise InputError("contours are written as GeoPackage", where=str(output), hint="end the name in .gpkg")
     check_output(output, overwrite=overwrite, inputs=(dem,))

@@ -22,6 +22,7 @@ from geomosaic.raster.cog.codec import BLOCK, RasterMetadata, Samples
 from geomosaic.raster.files import check_output
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.relief.terrain_data import TerrainData, read_terrain
+from geomosaic.stores.path import given_path
 from geomosaic.surface.plate_grid import HeldNodes, PlateData, solve_grid
 from geomosaic.surface.thin_plate import Heights
 from geomosaic.types import BoolArray, FloatArray, PathLike
@@ -125,7 +126,7 @@ def dtm(output: PathLike, *, overwrite: bool = False, **options: Any) -> DtmResu
     ------
     InputError, OutputExistsError, OutputError
     """
-    asked, output = compose(DtmOptions, options), Path(output)
+    asked, output = compose(DtmOptions, options), given_path(output)
     read = [path for path in (asked.contours, asked.points, asked.breaklines, asked.water) if path]
     check_output(output, overwrite=overwrite, inputs=read, geotiff=True)
     advised = None if asked.map_scale is None else interval(asked.map_scale, asked.terrain)  # type: ignore[arg-type]

@@ -28,6 +28,7 @@ from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.sensor.error_propagation import InputUncertainty, LevelErrors
 from geomosaic.sensor.map_to_image import Ground, MapToImage
+from geomosaic.stores.path import to_path
 from geomosaic.surface.dem import height_sigmas
 from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, FloatArray, IntArray
@@ -222,7 +223,7 @@ def _heights_of(surface: Surface | None, given: float | Path | None) -> float | 
             "`sigma_dem` would do nothing: the images use no heights", hint="leave out `sigma_dem`, or give a `dem`"
         )
     own = getattr(surface, "path", None)
-    if isinstance(given, Path) and own and Path(own).resolve() == given.resolve():
+    if isinstance(given, Path) and own and to_path(own).resolve() == given.resolve():
         raise InputError(
             "this is the DEM, and no raster of its standard deviations",
             where="`sigma_dem`",

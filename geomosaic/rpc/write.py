@@ -24,6 +24,7 @@ from geomosaic.rpc.refine import GridFit, ImageRpc, fit_rpc_and_grid, refine_rpc
 from geomosaic.sensor.plugin import HasRational, SensorModel
 from geomosaic.sensor.registry import plugin, rational_sensor
 from geomosaic.sensor.solve import image_to_ground
+from geomosaic.stores.path import to_path
 from geomosaic.types import PathLike
 
 WGS84 = CRS.from_epsg(4979)
@@ -239,7 +240,7 @@ def _heights(scene: OrientedImage, block: OrientedBlock) -> tuple[float, float]:
 
 def _targets(scene: OrientedImage, wanted: RpcOptions) -> tuple[Path | None, Path | None, Path | None]:
     """Files to write for an image; refused before any work where they hold an RPC already."""
-    path = Path(scene.path)
+    path = to_path(scene.path)
     tags = path if wanted.tags else None
     folder = wanted.folder or path.parent
     text = folder / f"{path.stem}_RPC.TXT" if wanted.text else None

@@ -22,6 +22,7 @@ from geomosaic.sheets.qml import read_qml
 from geomosaic.sheets.sld import read_sld
 from geomosaic.sheets.style import BUILT_IN, Remarks, Style, StyleChange, Symbol, built_in, located, parse_style
 from geomosaic.sheets.vector_layers import VectorInput
+from geomosaic.stores.path import given_path
 from geomosaic.types import PathLike, Progress
 from geomosaic.whole_files import read_text, read_toml
 
@@ -322,7 +323,7 @@ def sheet(
     ------
     InputError, OutputExistsError, OutputError
     """
-    raster, output, chosen = Path(raster), Path(output), compose(SheetOptions, options)
+    raster, output, chosen = given_path(raster), given_path(output), compose(SheetOptions, options)
     check_format(output, chosen.files)
     inputs = sheet_inputs(raster, chosen, output.suffix, title=raster.stem.replace("_", " "))
     return make_sheet(inputs, output, overwrite=overwrite, progress=progress)

@@ -27,6 +27,7 @@ from geomosaic.reference_matching.match import Reference, ReferenceMatch, match_
 from geomosaic.reference_matching.search import LOOSE, SearchedReference, match_anywhere
 from geomosaic.report.reference_matches import FoundImage, render_reference
 from geomosaic.sensor.plugin import HasPose
+from geomosaic.stores.path import to_path
 from geomosaic.tie_points.distant_positions import distances_beyond, too_distant
 from geomosaic.types import FloatArray, PathLike, Progress
 
@@ -222,7 +223,7 @@ def match_unoriented(image: OrientedImage, start: StartBlock, searched: Searched
             where=image.name,
             hint="give its approximate position and angles with `exterior`",
         )
-    found = match_anywhere(Path(image.path), image.bands, searched)
+    found = match_anywhere(to_path(image.path), image.bands, searched)
     xy = Transform(reference.grid.crs, horizontal(surface.crs))(found.xy)
     xyz = Transform(surface.crs, start.ground)(np.column_stack([xy, surface.height(xy)]))
     seen = np.flatnonzero(np.isfinite(xyz).all(axis=1))

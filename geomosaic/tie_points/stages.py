@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from geomosaic.matching.tracks import PairMatches, Tracks
 from geomosaic.matching.two_view import match_pair
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.raster.info import companions
+from geomosaic.stores.path import to_path
 from geomosaic.tie_points.cache import Arrays, Cache
 from geomosaic.tie_points.footprints import predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
@@ -297,7 +297,7 @@ def shrinkage(size: tuple[int, int], longest: int) -> int:
 
 def _content(scene: OrientedImage) -> str:
     """Digest of an image, of the files beside it that count (masks, sources of a VRT), and of what they say of it."""
-    path = Path(scene.path)
+    path = to_path(scene.path)
     beside = companions(path, scene.bands)
     return digest_of(*map(sha256, (path, *beside.files)), asdict(beside.metadata))
 

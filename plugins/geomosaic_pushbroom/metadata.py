@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from geomosaic.errors import InputError, default_hint
+from geomosaic.stores.path import to_path
 from geomosaic_pushbroom.dimap2 import CHARACTERISTICS, REFINED, read_pleiades, read_refined
 from geomosaic_pushbroom.reported import SceneMetadata, parse_dimap
 from geomosaic_pushbroom.spot import read_ossim, read_spot
@@ -36,7 +37,7 @@ def find_beside(image: str | None) -> Path | None:
     """
     if image is None:
         return None
-    path = Path(image)
+    path = to_path(image)
     names = [path.with_suffix(suffix) for suffix in (".DIM", ".dim")] + [path.with_name(name) for name in BESIDE]
     dimap = re.fullmatch(r"IMG_(.+?)(?:_R\d+C\d+)?", path.stem)
     if dimap:
@@ -57,7 +58,7 @@ def metadata_in_folder(image: str | None) -> dict[Path, tuple[int, int] | None]:
     dict
         Width and height in pixels by file; None of one without orbit and attitude.
     """
-    folder = Path(image).parent if image is not None else None
+    folder = to_path(image).parent if image is not None else None
     files = sorted(folder.glob("*.[xXdD][mMiI][lLmM]"))[:_MOST] if folder is not None else []
     found: dict[Path, tuple[int, int] | None] = {}
     for file in files:

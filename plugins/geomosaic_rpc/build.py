@@ -19,6 +19,7 @@ from geomosaic.raster.info import corner_in_scene
 from geomosaic.sensor.inputs import check_scene_offset, choice, number, numbers, point_rows, undeclared_offset
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
+from geomosaic.stores.path import to_path
 from geomosaic.types import FloatArray
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.formats import POLYNOMIALS, SCALARS, RpcFields, ossim, rpb, rpc_number, rpc_txt, rpc_xml
@@ -195,7 +196,7 @@ def _named(path: Path) -> tuple[list[Path], list[Path]]:
 
 def _find_rpc(path: str, where: str) -> FoundRpc:
     """RPC of an image, that it carries or that lies beside it: the first of several that agree within 0.001 px."""
-    every = [one for one in (*_rpc_beside(Path(path)), _own_rpc(path)) if one is not None]
+    every = [one for one in (*_rpc_beside(to_path(path)), _own_rpc(path)) if one is not None]
     if not every:
         raise InputError(
             "the image carries no RPC, and none lies beside it",

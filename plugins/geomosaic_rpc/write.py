@@ -8,6 +8,7 @@ import numpy as np
 
 from geomosaic.errors import OutputExistsError
 from geomosaic.raster.image_metadata import write_rpc_tags
+from geomosaic.stores.path import to_path
 from geomosaic.types import PathLike
 from geomosaic.whole_files import write_atomic
 from geomosaic_rpc.coefficients import Rpc
@@ -118,7 +119,7 @@ def write_text(model: RpcModel, image: PathLike, *, overwrite: bool = False) -> 
     SolveError
         As `plain`.
     """
-    path = Path(image)
+    path = to_path(image)
     path = path.with_name(f"{path.stem}_RPC.TXT")
     if path.exists() and not overwrite:
         raise OutputExistsError("the RPC file exists", where=str(path), hint="move it away, or allow overwriting")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from geomosaic.errors import InputError, default_hint
 from geomosaic.sensor.inputs import parse_xml
+from geomosaic.stores.path import to_path
 from geomosaic_sar.scene import RadarScene
 from geomosaic_sar.sentinel1 import ROOT as SENTINEL1
 from geomosaic_sar.sentinel1 import read_sentinel1
@@ -35,7 +36,7 @@ def find_beside(image: str | None) -> Path | None:
     """
     if image is None:
         return None
-    path = Path(image)
+    path = to_path(image)
     names = [path.with_name(path.stem + TABLE), path.parent.parent / "annotation" / f"{path.stem}.xml"]
     if path.parent.name.upper() == "IMAGEDATA":
         names += sorted(path.parent.parent.glob("T[SD]X*_SAR__*.xml"))[:1]

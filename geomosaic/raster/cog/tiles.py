@@ -7,7 +7,6 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
@@ -21,6 +20,7 @@ from geomosaic.raster.cog.codec import BLOCK
 from geomosaic.raster.cog.overviews import Half, Level, Tile, halve, levels
 from geomosaic.raster.cog.tiff import Directory, Field
 from geomosaic.raster.validity import combine, in_all_bands, missing_by_value
+from geomosaic.stores.path import to_path
 from geomosaic.types import AnyArray, ByteArray, PathLike
 
 
@@ -388,7 +388,7 @@ class EarlierTiles:
     """
 
     def __init__(self, path: PathLike) -> None:
-        self._file = Path(path).open("rb")  # noqa: SIM115 - closed by `close`
+        self._file = to_path(path).open("rb")
         try:
             found = tiff.read_directories(self._file)
             kinds = [_kind(directory) for directory in found]

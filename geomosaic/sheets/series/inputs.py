@@ -22,6 +22,7 @@ from geomosaic.sheets.series.make import SeriesResult, make_series
 from geomosaic.sheets.series.national import Mgrs, ign, international, tk
 from geomosaic.sheets.series.regular import Polygons, Scheme, regular, sheet_place
 from geomosaic.sheets.vector_layers import is_missing
+from geomosaic.stores.path import given_path
 from geomosaic.types import PathLike, Progress
 
 SCHEMES = ("international", "puwg1992", "soviet", "tk", "ign", "mgrs", "grid")
@@ -207,7 +208,7 @@ def sheet_series(
     suffix = f".{series.format}"
     try:
         check_format(Path(f"sheet{suffix}"), look.files)
-        inputs = sheet_inputs(Path(raster), look, suffix)
+        inputs = sheet_inputs(given_path(raster), look, suffix)
     except InputError as error:  # a series has a format where a sheet has the ending of its name
         raise InputError(error.what.replace("`output=.", "`format="), where=error.where, hint=error.hint) from None
     return make_series(inputs, scheme, Path(folder), series, progress)

@@ -1,0 +1,1 @@
+"""Object stores: addresses as paths, objects read by ranges and written whole, credentials of the environment."""

@@ -1,0 +1,170 @@
+"""Object store of tests: moto's S3 server behind a proxy that counts bytes and makes faults."""
+
+from __future__ import annotations
+
+import http.client
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import urlsplit
+
+
+def moto_python() -> str | None:
+    """Interpreter that has moto; that of another environment may be named, as moto brings boto3."""
+    named = os.environ.get("GEOMOSAIC_MOTO_PYTHON")
+    return named or (sys.executable if importlib.util.find_spec("moto") else None)
+
+
+@dataclass
+class Seen:
+    """Request that went through the proxy."""
+
+    method: str
+    path: str
+    range: str
+    status: int
+    sent: int
+    received: int
+
+
+@dataclass
+class Proxy:
+    """Proxy in front of a store.
+
+    Attributes
+    ----------
+    seen : list of Seen
+    storm : int
+        So many further requests are answered by 503.
+    cut : int
+        So many further answers to GET end in the middle of their contents.
+    refuse : str
+        Method and beginning of a path (a regular expression) that always get 503.
+    """
+
+    target: str
+    seen: list[Seen] = field(default_factory=list)
+    storm: int = 0
+    cut: int = 0
+    refuse: str = ""
+    endpoint: str = ""
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def read(self, suffix: str = "") -> int:
+        """Bytes of contents that objects of such names sent."""
+        return sum(one.sent for one in self.seen if one.method == "GET" and urlsplit(one.path).path.endswith(suffix))
+
+
+def _handler(proxy: Proxy) -> type[BaseHTTPRequestHandler]:
+    host = urlsplit(proxy.target).netloc
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def handle_any(self) -> None:
+            body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+            with proxy.lock:
+                refused = bool(proxy.refuse and re.match(proxy.refuse, f"{self.command} {self.path}"))
+                storm = proxy.storm > 0 and not refused
+                proxy.storm -= storm
+            if storm or refused:
+                self._answer(503, {}, b"<Error><Code>SlowDown</Code></Error>", body)
+                return
+            connection = http.client.HTTPConnection(host, timeout=60)
+            # The signature covers the name of the host that the client asked.
+            connection.putrequest(self.command, self.path, skip_host=True, skip_accept_encoding=True)
+            for name, value in self.headers.items():
+                connection.putheader(name, value)
+            connection.endheaders(body or None)
+            answer = connection.getresponse()
+            content = answer.read()
+            connection.close()
+            cut = False
+            if self.command == "GET" and answer.status in (200, 206) and "list-type" not in self.path:
+                with proxy.lock:
+                    cut = proxy.cut > 0
+                    proxy.cut -= cut
+            self._answer(answer.status, dict(answer.getheaders()), content, body, cut=cut)
+
+        do_GET = do_PUT = do_POST = do_DELETE = do_HEAD = handle_any
+
+        def _answer(self, status: int, headers: dict[str, str], content: bytes, body: bytes, cut: bool = False) -> None:
+            self.send_response(status)
+            length = headers.get("Content-Length", str(len(content)))
+            for name, value in headers.items():
+                if name.lower() not in ("content-length", "connection", "transfer-encoding", "server", "date"):
+                    self.send_header(name, value)
+            self.send_header("Content-Length", length)
+            self.end_headers()
+            sent = content[: len(content) // 2] if cut else content
+            with proxy.lock:
+                seen = self.headers.get("Range", "")
+                proxy.seen.append(Seen(self.command, self.path, seen, status, len(sent), len(body)))
+            if self.command != "HEAD":
+                self.wfile.write(sent)
+            if cut:
+                self.wfile.flush()
+                self.close_connection = True
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    return Handler
+
+
+@contextmanager
+def proxied(target: str) -> Iterator[Proxy]:
+    """Proxy in front of a server of this machine."""
+    proxy = Proxy(target)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(proxy))
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+    thread.start()
+    proxy.endpoint = f"http://127.0.0.1:{server.server_address[1]}"
+    try:
+        yield proxy
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@dataclass(frozen=True)
+class Server:
+    """S3 server: its own address, and a key that may do all."""
+
+    endpoint: str
+    key: str
+    secret: str
+
+
+@contextmanager
+def moto_server() -> Iterator[Server]:
+    """Moto's S3 server with the bucket `tests`, where keys are checked."""
+    python = moto_python()
+    assert python is not None
+    process = subprocess.Popen(
+        [python, str(Path(__file__).with_name("moto_server.py"))],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        told = json.loads(process.stdout.readline())
+        yield Server(told["endpoint"], told["key"], told["secret"])
+    finally:
+        process.kill()
+        process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
