@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.stores.path import to_path
+from geomosaic.stores.path import StorePath, to_path
 from geomosaic.types import PathLike
 
 
@@ -29,8 +29,11 @@ def sha256(path: PathLike) -> str:
     InputError
         The file cannot be read.
     """
+    file_path = to_path(path)
+    if isinstance(file_path, StorePath) and (written := file_path.sha256()) is not None:
+        return written
     try:
-        with to_path(path).open("rb") as file:
+        with file_path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(

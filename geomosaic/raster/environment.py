@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+import sys
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -312,6 +313,21 @@ def opened(path: Path, sources: Sequence[Path] = ()) -> dict[str, Any]:
     from geomosaic.raster.store_files import StoreFiles
 
     return {"opener": StoreFiles(path, sources)}
+
+
+def close_all(datasets: Iterable[Any]) -> None:
+    """Close datasets that any threads have opened.
+
+    Parameters
+    ----------
+    datasets : iterable of rasterio dataset
+    """
+    if "geomosaic.raster.store_files" in sys.modules:
+        from geomosaic.raster.store_files import share_open_files
+
+        share_open_files()
+    for dataset in datasets:
+        dataset.close()
 
 
 def _not_local(name: str, where: str) -> RasterReadError:

@@ -14,7 +14,7 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import OutputError, RasterReadError
 from geomosaic.geo.grid import Window
-from geomosaic.raster.environment import environment
+from geomosaic.raster.environment import close_all, environment
 from geomosaic.raster.info import SourceInfo, describe, inspect, joined, open_raster
 from geomosaic.raster.validity import Usable, block_mean, combine, missing_by_value, usable_nodata
 from geomosaic.stores.failures import raise_failure
@@ -243,8 +243,7 @@ class Source:
         with self._lock:
             handles, self._handles = self._handles, []
             self._local = threading.local()
-            for handle in handles:
-                handle.close()
+            close_all(handles)
             if self._whole is not None:
                 self._whole.close()
                 self._whole = None

@@ -6,10 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rasterio import _vsiopener
 from rasterio.abc import MultiByteRangeResourceContainer
 
 from geomosaic.stores.path import StorePath, to_path
 from geomosaic.stores.reading import RangeReader
+
+# rasterio keeps files that GDAL has opened by context, of which each thread has its own: here they are those of the
+# process, as one thread closes what others have opened.
+_open_files: dict[Any, Any] = {}
+
+
+def share_open_files() -> None:
+    """Let this thread close rasters of stores that other threads have opened."""
+    _vsiopener._OPEN_FILE_EXIT_STACKS.set(_open_files)
 
 
 class StoreFiles(MultiByteRangeResourceContainer):  # type: ignore[misc]
@@ -26,6 +36,7 @@ class StoreFiles(MultiByteRangeResourceContainer):  # type: ignore[misc]
     """
 
     def __init__(self, raster: StorePath, sources: Sequence[Path] = ()) -> None:
+        share_open_files()
         files: tuple[Path, ...] = (raster, *sources)
         self._sizes = {str(file): int(file.stat().st_size) for file in files}
         self._beside: dict[str, StorePath] = {str(file): file for file in raster.neighbours()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import re
 import threading
@@ -60,6 +61,10 @@ class Facts:
     asked: float
 
 
+# Ranges that are kept, and their bytes in all.
+_ranges: OrderedDict[tuple[str, int, int, int], bytes] = OrderedDict()
+_RANGES = 32 << 20
+
 _heads: OrderedDict[str, Facts] = OrderedDict()
 _lock = threading.Lock()
 
@@ -115,9 +120,12 @@ def forget(name: Name | None = None) -> None:
     with _lock:
         _lists.clear()
         if name is None:
+            _ranges.clear()
+            _written.clear()
             _heads.clear()
         else:
             _heads.pop(str(name), None)
+            _written.pop(str(name), None)
 
 
 def read(name: Name, ranges: Sequence[tuple[int, int]], known: Facts | None = None) -> list[bytes]:
@@ -144,7 +152,7 @@ def read(name: Name, ranges: Sequence[tuple[int, int]], known: Facts | None = No
             runs.append([start, stop])
 
     def fetch(run: Sequence[int]) -> bytes:
-        return _range(name, run[0], run[1])
+        return _range(name, known, run[0], run[1])
 
     parts = list(_pool().map(fetch, runs)) if len(runs) > 1 else [fetch(run) for run in runs]
     found = []
@@ -157,9 +165,15 @@ def read(name: Name, ranges: Sequence[tuple[int, int]], known: Facts | None = No
     return found
 
 
-def _range(name: Name, start: int, stop: int) -> bytes:
+def _range(name: Name, known: Facts, start: int, stop: int) -> bytes:
+    """Bytes of one range, kept for the next step or thread that needs the same ones."""
     import obstore
 
+    key = str(name), known.time, start, stop
+    with _lock:
+        if key in _ranges:
+            _ranges.move_to_end(key)
+            return _ranges[key]
     data = _asked(name, lambda: bytes(obstore.get_range(_client(name), name.key, start=start, end=stop)))
     if len(data) != stop - start:
         raise StoreError(
@@ -168,6 +182,11 @@ def _range(name: Name, start: int, stop: int) -> bytes:
             hint="try again; the object may have changed",
         )
     count(read=len(data))
+    if len(data) <= _RANGES // 8:
+        with _lock:
+            _ranges[key] = data
+            while sum(map(len, _ranges.values())) > _RANGES:
+                _ranges.popitem(last=False)
     return data
 
 
@@ -208,6 +227,23 @@ def write(name: Name, file: Path) -> None:
     _asked(name, put, writing=True)
     count(written=size)
     forget(name)
+    with file.open("rb") as data, _lock:
+        _written[str(name)] = hashlib.file_digest(data, "sha256").hexdigest()
+
+
+# Checksums of objects that this process has written, which need not be read again for them.
+_written: dict[str, str] = {}
+
+
+def checksum(name: Name) -> str | None:
+    """SHA-256 of what this process has written to an object; None where it has not.
+
+    Parameters
+    ----------
+    name : Name
+    """
+    with _lock:
+        return _written.get(str(name))
 
 
 class _Stop(Exception):

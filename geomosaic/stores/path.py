@@ -172,6 +172,11 @@ class StorePath(_Base):  # type: ignore[misc]
         name = self.name_in_store
         _objects().check_rights(name.scheme, name.store, name.key.rpartition("/")[0])
 
+    def sha256(self) -> str | None:
+        """Checksum of what this process has written to the object; None where it has not."""
+        known: str | None = _objects().checksum(self.name_in_store)
+        return known
+
     def upload(self, file: Path) -> None:
         """Object made of a file, whole or not at all."""
         _objects().write(self.name_in_store, file)
