@@ -24,8 +24,9 @@ from geomosaic.options.render import SAMPLE_TYPES
 from geomosaic.raster.environment import check_files, environment, opened, opening, source_files
 from geomosaic.raster.formats import GRIDS, READ_DRIVERS, SEQUENTIAL, drivers_of, refusal
 from geomosaic.stores.failures import raise_failure
-from geomosaic.stores.path import to_path
+from geomosaic.stores.path import StorePath, to_path
 from geomosaic.types import PathLike
+from geomosaic.whole_files import read_text
 
 # A block larger than this costs more to decode again for a neighbour window than a whole copy costs.
 _LARGE_BLOCK = 32 << 20
@@ -157,9 +158,12 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
 
 
 _RASTERS = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2", ".j2k", ".vrt", ".img", ".ntf", ".nitf", ".bmp")
+_WORLD_FILES = (
+    ".tfw", ".tifw", ".tiffw", ".jgw", ".jpw", ".jpgw", ".jpegw", ".pgw", ".pngw", ".bpw", ".j2w", ".jp2w", ".wld",
+)  # fmt: skip
 # What lies beside rasters: world files, metadata, masks, overviews, records, drawings.
 _BESIDE = (
-    ".tfw", ".tifw", ".tiffw", ".jgw", ".jpw", ".jpgw", ".jpegw", ".pgw", ".pngw", ".bpw", ".j2w", ".jp2w", ".wld",
+    *_WORLD_FILES,
     ".prj", ".aux", ".xml", ".hdr", ".dim", ".rpb", ".imd", ".att", ".eph", ".geom", ".kwl", ".tsai", ".xmp", ".msk",
     ".ovr", ".rrd", ".json", ".geojson", ".txt", ".gpkg-wal", ".gpkg-shm",
 )  # fmt: skip
@@ -245,7 +249,27 @@ def _transform(dataset: Any, path: str) -> Affine | None:
             where=path,
             hint="correct the world file or the header, or remove the georeference",
         )
-    return None if transform == Affine.identity() else transform
+    if transform == Affine.identity():
+        return _world_file(to_path(path))
+    return transform
+
+
+def _world_file(raster: Path) -> Affine | None:
+    """Geotransform of a world file beside a raster in a store, where GDAL, through rasterio, reads no lines."""
+    import affine
+
+    if not isinstance(raster, StorePath):
+        return None
+    for file in raster.neighbours():
+        if file.stem == raster.stem and file.suffix.lower() in _WORLD_FILES:
+            try:
+                placed: Affine = affine.loadsw(read_text(file, "world file", 4096))
+                return placed
+            except ValueError as error:
+                raise RasterReadError(
+                    f"the world file is damaged ({error})", where=str(file), hint="correct or remove it"
+                ) from None
+    return None
 
 
 def inspect(path: PathLike, bands: Sequence[int] | None = None) -> SourceInfo:
