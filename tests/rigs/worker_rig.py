@@ -1,0 +1,84 @@
+"""Work for workers that comes to grief: units that hang, hold too much memory, or are slow; and a block to mosaic."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import geomosaic as gm
+
+GIGABYTE = 1 << 30
+
+
+def slow_square(item: int) -> int:
+    """Square, after some milliseconds."""
+    time.sleep(0.005)
+    return item * item
+
+
+def grows(item: int) -> int:
+    """Take no time at first, and then 30 ms."""
+    time.sleep(0.0 if item < 20 else 0.03)
+    return item
+
+
+def hangs_once(marker: str) -> str:
+    """Hang when it is run for the first time."""
+    if not _seen(marker):
+        time.sleep(600.0)
+    return "done"
+
+
+def hangs(item: int) -> int:
+    """Hang at the unit of number 1."""
+    if item == 1:
+        time.sleep(600.0)
+    return item
+
+
+def hungry_once(marker: str) -> str:
+    """Hold a gigabyte when it is run for the first time."""
+    return "done" if _seen(marker) else hungry(1)
+
+
+def hungry(item: int) -> str:
+    """Hold a gigabyte at the unit of number 1, until someone ends it."""
+    if item == 1:
+        held = bytearray(GIGABYTE)
+        held[::4096] = b"x" * len(held[::4096])
+        time.sleep(60.0)
+        del held
+    return "done"
+
+
+def keeps(item: int, kept: list[bytearray] = []) -> int:  # noqa: B006
+    """Keep 150 MB more after every unit; how many the process keeps by then."""
+    kept.append(bytearray(150 << 20))
+    kept[-1][::4096] = b"x" * len(kept[-1][::4096])
+    return len(kept)
+
+
+def _seen(marker: str) -> bool:
+    """Whether the file is there; it is from now on."""
+    there = Path(marker).exists()
+    Path(marker).touch()
+    return there
+
+
+def small_block(folder: Path, strips: int, each: int) -> gm.Block:
+    """Block of small synthetic photos, 60 and 30 % overlap, whose orientation is known."""
+    from scenery_rig import GROUND, camera_of, write_photos
+
+    from geomosaic.testing.synthetic import FlightPlan, synthetic_block
+    from geomosaic.testing.synthetic.scenery import Scenery
+
+    camera = camera_of((160, 120))
+    photos = synthetic_block(GROUND, camera, FlightPlan(strips, each, 0.6, 0.3, gsd=0.3))
+    write_photos(folder, photos, camera, Scenery(finest=0.5, water=0.0))
+    table = folder / "exterior.csv"
+    rows = [",".join(map(str, (f"{p.name}.jpg", *p.position, *p.angles))) for p in photos]
+    table.write_text("\n".join(["image,x,y,z,omega,phi,kappa", *rows]) + "\n")
+    paths = [folder / f"{p.name}.jpg" for p in photos]
+    ground = {"height": GROUND.base, "dem_heights": "egm96"}
+    lens = gm.Camera(**camera)
+    return gm.Block(paths, "frame", camera=lens, exterior=table, crs="EPSG:32633", heights="egm96", **ground)

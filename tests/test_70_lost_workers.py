@@ -1,0 +1,304 @@
+"""Workers that die, hang, need too much memory or go away altogether: what is made has the bytes of one thread."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import worker_rig
+from worker_rig import small_block
+
+import geomosaic as gm
+from geomosaic.errors import RasterReadError, WorkerError, WorkersUnreachableError
+from geomosaic.execution import run_report
+from geomosaic.execution.unit_times import LEAST_PATIENCE, PATIENCE, UnitTimes
+from geomosaic.execution.units import map_units, workers_for
+from geomosaic.options.render import RenderOptions
+
+RIGS = Path(worker_rig.__file__).parent
+# Places and units that are small, so that there are many of them.
+PLACE: dict[str, Any] = {"resolution": 0.05, "tile": 1024, "vectors": False, "creation": {"COMPRESS": "JPEG"}}
+
+
+def mosaic(block: gm.Block, folder: Path, **options: Any) -> tuple[dict[str, bytes], gm.MosaicResult]:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    made = gm.mosaic(block, folder / "m.tif", **PLACE, **options)
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.tif"))}, made
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory) -> tuple[gm.Block, dict[str, bytes]]:
+    """Block of 6 photos, and its mosaic of one thread."""
+    block = small_block(tmp_path_factory.mktemp("photos"), 2, 3)
+    return block, mosaic(block, tmp_path_factory.mktemp("few") / "one", threads=1)[0]
+
+
+@contextmanager
+def cluster(folder: Path, workers: int = 2, nannies: bool = True) -> Iterator[Any]:
+    """Client of a Dask cluster on this machine whose scheduler and workers are processes of their own."""
+    distributed = pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(RIGS), *sys.path]),
+        "DASK_TEMPORARY_DIRECTORY": str(folder),
+    }
+    address = folder / "scheduler.json"
+
+    def started(*words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:], "--no-dashboard"]
+        with (folder / "log.txt").open("ab") as log:
+            return subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=folder)
+
+    file = ["--scheduler-file", str(address)]
+    running = [started("dask_scheduler", *file, "--host", "127.0.0.1", "--port", "0")]
+    try:
+        for _ in range(workers):
+            nanny = "--nanny" if nannies else "--no-nanny"
+            running.append(started("dask_worker", *file, "--nthreads", "1", nanny, "--memory-limit", "4GiB"))
+        with distributed.Client(scheduler_file=str(address), set_as_default=False, timeout=30) as client:
+            client.wait_for_workers(workers, timeout=60)
+            client.processes = running
+            yield client
+    finally:
+        for process in reversed(running):
+            process.terminate()
+        for process in reversed(running):
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(5)
+            process.kill()
+            process.wait()
+
+
+class Killer:
+    """Progress that ends a worker by SIGKILL every so many units."""
+
+    def __init__(self, pids: Callable[[], list[int]], kills: int, every: int) -> None:
+        self.pids, self.left, self.every, self.seen = pids, kills, every, 0
+
+    def __call__(self, done: int, total: int, stage: str) -> None:
+        self.seen += stage == "mosaic"
+        if self.left and stage == "mosaic" and self.seen % self.every == 1:
+            alive = self.pids()
+            if alive:
+                os.kill(alive[self.left % len(alive)], signal.SIGKILL)
+                self.left -= 1
+
+
+def processes() -> list[int]:
+    return [one.pid for one in multiprocessing.active_children() if one.name == "geomosaic worker" and one.pid]
+
+
+def test_processes_that_are_killed_on_the_way_are_replaced_and_change_no_byte(few, tmp_path) -> None:
+    """The report tells what each did, what was lost, and what a rerun would cost."""
+    block, expected = few
+    killer = Killer(processes, 3, 4)
+    found, made = mosaic(block, tmp_path / "killed", workers=2, progress=killer)
+    assert found == expected
+    assert killer.left == 0
+    assert not processes()
+    run = made.run
+    assert run is not None
+    assert run_report.current.get() is None
+    assert (run.slots, run.kind) == (2, "2 processes")
+    assert len(run.workers) >= 3  # those that came after the killed ones
+    assert 1 <= run.lost["died"] == run.lost.total()
+    grid, facts = made.grid, run.facts
+    units = -(-grid.width // 1024) * -(-grid.height // 512)
+    assert sum(one.units["RenderedUnits"] for one in run.workers.values()) == units
+    assert facts["lost_units"] == {"died": run.lost["died"]}
+    # Every photo is read by someone, and results come back by pipes, not by files.
+    if facts["rerun"]["bytes_read"] is not None:  # Linux counts them
+        assert facts["rerun"]["bytes_read"] >= sum(Path(path).stat().st_size for path in block.images)
+    assert sum(one["bytes_returned"] for one in facts["workers"]) > 0
+    assert facts["core_hours"] == pytest.approx(sum(one["seconds"] for one in facts["workers"]) / 3600.0, rel=1e-2)
+    assert facts["rerun"]["seconds"] == pytest.approx(facts["core_hours"] * 1800.0)
+    assert 0.0 < facts["rerun"]["seconds"] <= facts["seconds"]
+
+
+def test_workers_are_opened_once_for_all_that_a_run_does() -> None:
+    options = RenderOptions(workers=2)
+    with workers_for(options) as run:
+        assert run is not None
+        assert list(map_units(float, range(5), options)) == [(k, float(k)) for k in range(5)]
+        first = set(processes())
+        with workers_for(options) as same:
+            squares = dict(map_units(worker_rig.slow_square, range(300), options))
+        assert same is run
+        assert squares == {k: k * k for k in range(300)}
+        assert set(processes()) >= first
+        # A map that is left on the way hurts no other.
+        with closing(map_units(worker_rig.slow_square, range(300), options)) as left:
+            next(left)
+        assert [value for _, value in map_units(float, range(100), options)] == list(range(100))
+        assert run.units >= 5 + 300 + 1 + 100
+        assert len(run.workers) <= 2
+    assert not processes()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "size", "units"),
+    [(1e-4, 100, 64), (0.01, 1000, 25), (0.01, 1 << 20, 4), (3.0, 100, 1), (0.0, 0, 64), (0.01, 1 << 30, 1)],
+)
+def test_tasks_have_as_many_units_as_a_quarter_of_a_second_and_four_megabytes_hold(seconds, size, units) -> None:
+    times = UnitTimes()
+    assert times.units_of_task() == 1  # until it is known
+    assert times.patience(1) == LEAST_PATIENCE
+    times.add(10, 10 * seconds, seconds, 10 * size)
+    assert times.units_of_task() == units
+    times.add(1, 100.0, 100.0, size)
+    assert times.patience(3) == PATIENCE * 100.0 * 3
+
+
+def test_units_that_grow_on_the_way_end_their_task_early(monkeypatch) -> None:
+    """What is left of it goes out again, and the order is kept."""
+    monkeypatch.setattr("geomosaic.execution.task.LONGEST", 0.1)
+    with ThreadPoolExecutor(2) as executor:
+        found = list(map_units(worker_rig.grows, range(90), RenderOptions(workers=executor)))
+    assert found == [(k, k) for k in range(90)]
+
+
+def test_a_process_that_hangs_is_replaced(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr("geomosaic.execution.unit_times.LEAST_PATIENCE", 4.0)
+    options = RenderOptions(workers=1)
+    with workers_for(options) as run:
+        assert [value for _, value in map_units(worker_rig.hangs_once, [str(tmp_path / "marker")], options)] == ["done"]
+    assert run is not None
+    assert run.lost == {"hung": 1}
+
+
+@pytest.mark.slow
+def test_a_unit_that_always_hangs_is_named(monkeypatch) -> None:
+    monkeypatch.setattr("geomosaic.execution.unit_times.LEAST_PATIENCE", 3.0)
+    monkeypatch.setattr("geomosaic.execution.units_on_workers.RETRIES", 1)
+    with pytest.raises(WorkerError, match=r"lost every time \(no answer in \d+ s\)") as caught:
+        list(map_units(worker_rig.hangs, [0, 1], RenderOptions(workers=1)))
+    assert caught.value.where == "1"
+
+
+def test_a_process_over_its_memory_is_replaced(tmp_path) -> None:
+    """In the middle of a unit it is ended, and the unit is begun again."""
+    options = RenderOptions(workers=1, memory_limit=256 << 20)
+    with workers_for(options) as run:
+        units = map_units(worker_rig.hungry_once, [str(tmp_path / "marker")], options)
+        assert [value for _, value in units] == ["done"]
+    assert run is not None
+    assert run.lost == {"memory": 1}
+
+
+@pytest.mark.slow
+def test_a_unit_that_always_needs_too_much_memory_is_named_with_the_limit() -> None:
+    with pytest.raises(WorkerError, match=r"it held \d+ MB of memory, the limit is 400 MB") as caught:
+        list(map_units(worker_rig.hungry, [0, 1], RenderOptions(workers=1, memory_limit=256 << 20)))
+    assert caught.value.where == "1"
+
+
+@pytest.mark.slow
+def test_what_a_process_keeps_between_units_does_not_grow_beyond_its_memory() -> None:
+    options = RenderOptions(workers=1, memory_limit=400 << 20)
+    with workers_for(options) as run:
+        kept = [most for _, most in map_units(worker_rig.keeps, range(6), options)]
+    assert run is not None
+    assert max(kept) <= 3
+    assert (kept.count(1) >= 2, len(run.workers) >= 2, run.lost.total()) == (True, True, 0)
+
+
+def test_a_scheduler_that_dies_leaves_nothing_half_written_and_the_same_command_finishes(few, tmp_path) -> None:
+    block, expected = few
+    (tmp_path / "dask").mkdir()
+    pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
+    import dask
+
+    with dask.config.set({"distributed.comm.timeouts.connect": "2s"}), cluster(tmp_path / "dask") as client:
+
+        def kill(done: int, total: int, stage: str) -> None:
+            if stage == "mosaic" and done == 3:
+                client.processes[0].kill()
+
+        with pytest.raises(WorkersUnreachableError) as caught:
+            mosaic(block, tmp_path / "made", workers=client, progress=kill)
+        assert caught.value.exit_code == 4
+        assert list((tmp_path / "made").iterdir()) == []
+    assert mosaic(block, tmp_path / "made", threads=1)[0] == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nannies", [True, False])
+def test_a_worker_of_a_cluster_that_hangs_is_done_without(nannies, tmp_path, monkeypatch) -> None:
+    """With a nanny it is started anew; without one the other does its work."""
+    monkeypatch.setattr("geomosaic.execution.unit_times.LEAST_PATIENCE", 10.0)
+    with cluster(tmp_path, nannies=nannies) as client:
+        options = RenderOptions(workers=client)
+        with workers_for(options) as run:
+            assert [value for _, value in map_units(worker_rig.hangs_once, [str(tmp_path / "marker")], options)] == [
+                "done"
+            ]
+        assert run is not None
+        assert run.lost == {"hung": 1}
+
+
+def test_a_worker_that_cannot_do_the_work_is_named(tmp_path, monkeypatch) -> None:
+    """It sees other files than the client, which names them by way of its own folder; or it has too little memory."""
+    photos = tmp_path / "photos"
+    block = small_block(photos, 1, 2)
+    monkeypatch.chdir(photos)
+    unseen = replace(block, images=tuple(Path("/proc/self/cwd") / path.name for path in block.images))
+    with cluster(tmp_path, workers=1) as client:
+        if unseen.images[0].exists():  # on Linux
+            with pytest.raises(RasterReadError) as caught:
+                mosaic(unseen, tmp_path / "made", workers=client, balance=False)
+            pid = next(iter(client.run(os.getpid).values()))
+            assert caught.value.hint.endswith(f"worker {platform.node()}:{pid} must see the file under this path")
+            assert list((tmp_path / "made").iterdir()) == []
+        with pytest.raises(WorkerError, match="has 4096 MB of memory, and units may need 8192 MB") as refused:
+            list(map_units(float, [1], RenderOptions(workers=client, memory_limit=8 << 30)))
+        assert str(refused.value.where).startswith("tcp://127.0.0.1:")
+        assert list(map_units(float, [1], RenderOptions(workers=client))) == [(1, 1.0)]
+
+
+@pytest.mark.slow
+def test_four_hundred_photos_on_a_cluster_whose_workers_are_killed_twenty_times(tmp_path) -> None:
+    """Every two seconds one of the two gets SIGKILL; the mosaic is made until twenty were."""
+    block = small_block(tmp_path / "photos", 20, 20)
+    expected, _ = mosaic(block, tmp_path / "one", threads=1)
+    (tmp_path / "dask").mkdir()
+    with cluster(tmp_path / "dask") as client:
+        undisturbed, made = mosaic(block, tmp_path / "two", workers=client)
+        assert undisturbed == expected
+        assert not made.run.lost
+        killed, over = [], threading.Event()
+
+        def kill() -> None:
+            while len(killed) < 20 and not over.wait(2.0):
+                with suppress(Exception):
+                    pids = [its["pid"] for its in client.run(_identity).values()]
+                    os.kill(pids[len(killed) % len(pids)], signal.SIGKILL)
+                    killed.append(time.monotonic())
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        try:
+            while len(killed) < 20:
+                assert mosaic(block, tmp_path / "killed", workers=client)[0] == expected
+        finally:
+            over.set()
+            killer.join()
+    assert len(killed) == 20
+
+
+def _identity() -> dict[str, int]:
+    return {"pid": os.getpid()}
