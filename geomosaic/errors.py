@@ -162,6 +162,22 @@ def default_hint(hint: str) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def default_where(where: str) -> Iterator[None]:
+    """Context in which an error that names no place gets this one.
+
+    Parameters
+    ----------
+    where : str
+        Image or file that all of it is about.
+    """
+    try:
+        yield
+    except GeomosaicError as error:
+        error.where = error.where or where
+        raise
+
+
 def counted(count: int, noun: str) -> str:
     """'1 point', '2 points'.
 

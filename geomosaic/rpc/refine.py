@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.errors import InputError, SolveError
+from geomosaic.errors import InputError, SolveError, default_where
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.adjusted import AdjustedImage, adjustment_facts
 from geomosaic.inputs.tables import read_table, stem
@@ -323,11 +323,8 @@ def _by_control(
 
     control, ground, image = arrays("control")
     sigmas = np.array([point.sigma_px for point in control])
-    try:
+    with default_where(name):
         found = tool.refine_rational(model, ground, image, kind, sigmas, [point.id for point in control])
-    except SolveError as error:
-        error.where = error.where or name
-        raise
     used = found.used
     statistics = precision(found.model, ground[used], image[used], sigmas[used])
     height = float(np.mean([point.xyz[2] for point, good in zip(control, used.tolist(), strict=True) if good]))

@@ -11,7 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
-from geomosaic.errors import InputError, OutputError, OutputExistsError, SolveError, did_you_mean
+from geomosaic.errors import InputError, OutputError, OutputExistsError, default_where, did_you_mean
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.correction_grids import write_corrections
@@ -188,14 +188,11 @@ def _rational(
     if _is_rational(inputs.block.sensor) and inputs.block.corrections is None:
         return scene.model, ImageRpc(scene.name, "as it came", {})
     heights = inputs.options.height_range or _heights(scene, block)
-    try:
+    with default_where(scene.name):
         if inputs.options.grid:
             model, pair = fit_rpc_and_grid(tool, scene.model, scene.sensor, heights)
             return model, ImageRpc(scene.name, "fitted", _facts_of_pair(pair, heights), grid=pair.grid)
         fit = tool.fit_rational(scene.model, heights)
-    except SolveError as error:
-        error.where = error.where or scene.name
-        raise
     facts = {
         "fit_rms_px": fit.rms,
         "fit_worst_px": fit.worst,

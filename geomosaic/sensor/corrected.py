@@ -306,8 +306,7 @@ class Corrected:
 
     def _turn(self, xyz: FloatArray) -> FloatArray:
         """Derivatives of the corrected by the ideal position (N, 2, 2)."""
-        turn: FloatArray = np.eye(2) + self.grid.slopes(self.model.ground_to_image(xyz))
-        return turn
+        return np.eye(2) + self.grid.slopes(self.model.ground_to_image(xyz))
 
     def with_values(self, values: FloatArray) -> Self:
         """Model with other parameter values (P,) behind the same grid."""
@@ -353,8 +352,7 @@ class CorrectedWithInterior(Corrected):
 
     def interior_jacobian(self, xyz: FloatArray) -> FloatArray:
         """Derivatives by the interior orientation (N, 2, Q), by the chain rule."""
-        by_interior: FloatArray = self._turn(xyz) @ cast(HasInterior, self.model).interior_jacobian(xyz)
-        return by_interior
+        return self._turn(xyz) @ cast(HasInterior, self.model).interior_jacobian(xyz)
 
 
 @dataclass(frozen=True, eq=False)

@@ -257,8 +257,7 @@ def _slope(image: Callable[[FloatArray], FloatArray], points: FloatArray, axis: 
     high, low = points.copy(), points.copy()
     high[:, axis] += 0.5 * step
     low[:, axis] -= 0.5 * step
-    change: FloatArray = (image(high) - image(low)) / (high[:, axis] - low[:, axis])[:, None]
-    return change
+    return (image(high) - image(low)) / (high[:, axis] - low[:, axis])[:, None]
 
 
 def _hillside(surface: Surface, crs: CRS, points: FloatArray, steps: FloatArray) -> FloatArray:

@@ -597,6 +597,41 @@ def flag(table: Mapping[str, Any], key: str, where: str) -> bool:
     return bool(value)
 
 
+def apriori_sigmas(
+    table: Any, usual: Mapping[str, float], groups: Mapping[str, Sequence[str]], where: str
+) -> list[float]:
+    """A-priori standard deviations of the parameters of a sensor, from the input `sigmas`.
+
+    Parameters
+    ----------
+    table : mapping
+        Sigmas of groups of parameters, and of single ones, which go before.
+    usual : mapping of str to float
+        Parameters in their order, with the sigmas of those that are not given.
+    groups : mapping of str to sequence of str
+        Parameters of each group.
+    where : str
+        Image, for messages.
+
+    Raises
+    ------
+    SensorInputError
+        A name is unknown, or a sigma is no number or negative.
+    """
+    given = table_of(table, "sigmas", where)
+    known_keys(given, (*groups, *usual), f"{where}, sigmas")
+    sigmas = {name: number(value, f"sigmas, {name}", where) for name, value in given.items()}
+    values = dict(usual)
+    for group, names in groups.items():
+        if group in sigmas:
+            values.update(dict.fromkeys(names, sigmas[group]))
+    values.update({name: sigmas[name] for name in usual if name in sigmas})
+    negative = [name for name, value in values.items() if value < 0.0]
+    if negative:
+        raise _input_error(f"the sigma of {negative[0]} is negative", "sigmas", where, "0 holds it fixed")
+    return list(values.values())
+
+
 def point_rows(
     points: Any, keys: Sequence[str], where: str, more: Sequence[str] = ("id", "sigma")
 ) -> tuple[list[str], list[tuple[float, ...]]]:

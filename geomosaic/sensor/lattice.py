@@ -231,8 +231,7 @@ def _at_nodes(between: FloatArray, axis: int) -> FloatArray:
     """Means at nodes of what lies between them along an axis of (levels, rows, cols, 2): of both sides, or of one."""
     sides = np.concatenate([between.take([0], axis), between, between.take([-1], axis)], axis)
     sides = np.moveaxis(sides, axis, 0)
-    mean: FloatArray = np.moveaxis((sides[:-1] + sides[1:]) / 2, 0, axis)
-    return mean
+    return np.moveaxis((sides[:-1] + sides[1:]) / 2, 0, axis)
 
 
 def _mended(

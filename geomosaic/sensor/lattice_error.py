@@ -53,8 +53,7 @@ def both(flags: BoolArray) -> BoolArray:
     bool array (...)
     """
     # `all` over an axis of two takes ten times as long.
-    pairs: BoolArray = flags[..., 0] & flags[..., 1]
-    return pairs
+    return flags[..., 0] & flags[..., 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,8 +223,7 @@ def _halved(nodes: FloatArray) -> FloatArray:
 def _around(miss: FloatArray) -> FloatArray:
     """Largest of the nine values (2 · rows + 1, 2 · cols + 1) of each cell: (rows, cols)."""
     down = np.fmax(np.fmax(miss[:-1:2], miss[1::2]), miss[2::2])
-    largest: FloatArray = np.fmax(np.fmax(down[:, :-1:2], down[:, 1::2]), down[:, 2::2])
-    return largest
+    return np.fmax(np.fmax(down[:, :-1:2], down[:, 1::2]), down[:, 2::2])
 
 
 def _touch(places: FloatArray, size: tuple[int, int], around: float) -> BoolArray:

@@ -87,8 +87,7 @@ def refraction_shift(radius: FloatArray, constant: float, height: float, ground:
         Micrometres, of the shape of `radius`.
     """
     r = np.asarray(radius, dtype=np.float64)
-    shift: FloatArray = 1000.0 * refraction_constant(height, ground) * (r + r**3 / constant**2)
-    return shift
+    return 1000.0 * refraction_constant(height, ground) * (r + r**3 / constant**2)
 
 
 def curvature_shift(radius: FloatArray, constant: float, above: float, earth: float) -> FloatArray:
@@ -111,8 +110,7 @@ def curvature_shift(radius: FloatArray, constant: float, above: float, earth: fl
         Micrometres, of the shape of `radius`.
     """
     r = np.asarray(radius, dtype=np.float64)
-    shift: FloatArray = 1000.0 * above * r**3 / (2.0 * earth * constant**2)
-    return shift
+    return 1000.0 * above * r**3 / (2.0 * earth * constant**2)
 
 
 @dataclass(frozen=True)

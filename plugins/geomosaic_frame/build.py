@@ -188,7 +188,9 @@ def build_frame(request: SensorRequest) -> FrameModel:
                 )
         return unoriented_model(camera, options, tuple(notes), where)
     unit = choice(options.get("angle_unit", "deg"), FULL_CIRCLE, "angle_unit", where)
-    treatment = choice(options.get("treatment", _usual(request.crs)), TREATMENTS, "treatment", where)
+    # A local frame that is nowhere on the Earth has but one.
+    usual = "planar" if request.crs is not None and is_local(request.crs) else "rigorous"
+    treatment = choice(options.get("treatment", usual), TREATMENTS, "treatment", where)
     ground = (
         number(options["ground_height"], "ground_height", where) if options.get("ground_height") is not None else None
     )
@@ -218,11 +220,6 @@ def build_frame(request: SensorRequest) -> FrameModel:
         notes_of = omitted_corrections(camera, crs, position, ground, treatment)
     notes += notes_of
     return frame_model(camera, place, crs, ground, options, tuple(notes), correction, where)
-
-
-def _usual(crs: CRS | None) -> str:
-    """Treatment where none is given: a local frame that is nowhere on the Earth has but one."""
-    return "planar" if crs is not None and is_local(crs) else "rigorous"
 
 
 def _position(
@@ -260,8 +257,7 @@ def _crs(request: SensorRequest, attitude: Attitude) -> CRS:
         ellipsoidal = attitude.frame == "geocentric" and not has_heights(request.crs)
         return with_heights(request.crs, "ellipsoidal") if ellipsoidal else request.crs
     if attitude.crs is not None:
-        crs: CRS = attitude.crs
-        return crs
+        return attitude.crs
     if attitude.frame == "topocentric":
         return CRS.from_epsg(4979)  # OpenSfM's own definition of its reference
     return _named(request)

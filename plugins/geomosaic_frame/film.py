@@ -250,8 +250,7 @@ class FilmCamera:
 
     def derivatives(self, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
         """Derivatives of (col, row) by camera axes, (N, 2, 3)."""
-        out: FloatArray = self._by_uv(x, y, z)[1] @ self.lens.derivatives(x, y, z)
-        return out
+        return self._by_uv(x, y, z)[1] @ self.lens.derivatives(x, y, z)
 
     def _by_uv(self, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of (col, row) by (u, v) in the film, (N, 2, 2), and by those of the lens."""
@@ -387,10 +386,6 @@ def omitted_corrections(
         Height of the ground in the unit and vertical datum of `crs`; no notes without it.
     treatment : str
         'rigorous' or 'planar'; curvature matters for the latter only.
-
-    Returns
-    -------
-    list of str
     """
     if ground is None or is_local(crs) or not isinstance(camera, FilmCamera):
         return []

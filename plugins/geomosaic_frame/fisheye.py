@@ -58,13 +58,11 @@ class Fisheye(NamedCoefficients):
 
     def _polynomial(self, t: FloatArray) -> FloatArray:
         s = t * t
-        value: FloatArray = t * (1.0 + s * (self.k1 + s * (self.k2 + s * (self.k3 + s * self.k4))))
-        return value
+        return t * (1.0 + s * (self.k1 + s * (self.k2 + s * (self.k3 + s * self.k4))))
 
     def _polynomial_slope(self, t: FloatArray) -> FloatArray:
         s = t * t
-        slope: FloatArray = 1.0 + s * (3 * self.k1 + s * (5 * self.k2 + s * (7 * self.k3 + s * 9 * self.k4)))
-        return slope
+        return 1.0 + s * (3 * self.k1 + s * (5 * self.k2 + s * (7 * self.k3 + s * 9 * self.k4)))
 
     def _radius(self, angle: FloatArray) -> FloatArray:
         """θ_d of θ, continued."""
@@ -157,8 +155,7 @@ class Fisheye(NamedCoefficients):
 
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
-        inside: BoolArray = self._angle(np.hypot(u, v)) <= self.fold
-        return inside
+        return self._angle(np.hypot(u, v)) <= self.fold
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
         """Lens with its limit at the farthest corner, and a quarter more."""

@@ -96,8 +96,7 @@ class FrameModel:
     @cached_property
     def _to_camera(self) -> FloatArray:
         """`crs` → camera axes (3, 3)."""
-        turned: FloatArray = FLIP @ self.rotation @ self.frame.axes
-        return turned
+        return FLIP @ self.rotation @ self.frame.axes
 
     @cached_property
     def _scan(self) -> Scan:

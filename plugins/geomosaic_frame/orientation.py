@@ -175,8 +175,7 @@ def _matrix(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
 
 def _platform(yaw: float, pitch: float, roll: float) -> FloatArray:
     """Body (forward, right, down) → north, east, down: Rz(yaw)·Ry(pitch)·Rx(roll), active; angles in radians."""
-    rotation: FloatArray = (r1(roll) @ r2(pitch) @ r3(yaw)).T
-    return rotation
+    return (r1(roll) @ r2(pitch) @ r3(yaw)).T
 
 
 def _rpy(row: Mapping[str, Any], unit: str, where: str) -> Attitude:

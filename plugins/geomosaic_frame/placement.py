@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicError, HeightDatumError, InputError
+from geomosaic.errors import GeomosaicError, HeightDatumError, InputError, default_where
 from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, with_heights
 from geomosaic.geo.local_frames import LocalFrame, map_place, r3
 from geomosaic.geo.transform import Transform
@@ -121,11 +121,8 @@ def local_frame(crs: CRS, position: FloatArray, where: str) -> LocalFrame:
     InputError
         The position lies outside the CRS or its geoid; names the image.
     """
-    try:
+    with default_where(where):
         frame = LocalFrame.at(crs, position)
-    except InputError as error:
-        error.where = error.where or where
-        raise
     if not np.isfinite(frame.origin).all():
         raise InputError(
             f"position {position.tolist()} has no place in '{crs.name}'",

@@ -228,8 +228,7 @@ class PolynomialLens(Perspective):
 
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
-        inside: BoolArray = np.hypot(*self._undistort(u, v)) <= self.fold
-        return inside
+        return np.hypot(*self._undistort(u, v)) <= self.fold
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
         """The lens itself: its limit does not depend on the image."""

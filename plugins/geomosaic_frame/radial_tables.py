@@ -211,8 +211,7 @@ class Corrections(Perspective):
 
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
-        inside: BoolArray = np.hypot(u, v) <= self.formula.fold
-        return inside
+        return np.hypot(u, v) <= self.formula.fold
 
     def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
         """The lens itself: its limit does not depend on the image."""

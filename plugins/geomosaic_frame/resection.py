@@ -154,7 +154,7 @@ def resect_photo(
             used = first.used
             mean = float(known[used, 2].mean()) if ground is None else ground
             # Once more about the centre found, so that the parameters are offsets of zero from it.
-            final = resect(photo(_pose_of(first.solved.model), mean), xyz[used], image[used], sigmas[used])
+            final = resect(photo(Pose(*first.solved.model.pose), mean), xyz[used], image[used], sigmas[used])
         except (InputError, SolveError) as error:
             refused = error
             continue
@@ -205,11 +205,6 @@ def _photo(
         )
     ray_correction = requested_correction(options, crs, position, ground, treatment == "planar", where)[0]
     return frame_model(camera, place, crs, ground, options, (), ray_correction, where)
-
-
-def _pose_of(model: FrameModel) -> Pose:
-    """Pose of a model: projection centre and rotation to camera axes."""
-    return Pose(model.centre, FLIP @ model.rotation @ model.frame.axes)
 
 
 def _choose(

@@ -167,8 +167,7 @@ class Scan:
     def rotations(self, time: FloatArray) -> FloatArray:
         """Local frame → image, x right, y up, at times (N,): (N, 3, 3), or (1, 3, 3) where the photo does not turn."""
         x, y, z = self._about(time)
-        turned: FloatArray = z @ y @ x
-        return turned
+        return z @ y @ x
 
     def axes(self, time: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Camera axes, (N,) each, of points (N, 3) in the local frame, counted from the centre at their times."""
@@ -185,13 +184,11 @@ class Scan:
     @property
     def turning(self) -> FloatArray:
         """Rotation vector (3,) of the turn about camera axes: x right, y down, z forward; degrees."""
-        found: FloatArray = FLIP @ _turning(np.radians(self.values[3:6])) @ self.values[9:12]
-        return found
+        return FLIP @ _turning(np.radians(self.values[3:6])) @ self.values[9:12]
 
     def directions(self, time: FloatArray, seen: FloatArray) -> FloatArray:
         """Directions (N, 3) in camera axes at times (N,) to the local frame."""
-        back: FloatArray = (np.swapaxes(self.rotations(time), 1, 2) @ (seen @ FLIP)[:, :, None])[:, :, 0]
-        return back
+        return (np.swapaxes(self.rotations(time), 1, 2) @ (seen @ FLIP)[:, :, None])[:, :, 0]
 
     def derivatives(
         self, time: FloatArray, seen: FloatArray, bent: FloatArray, by_camera: FloatArray
@@ -246,5 +243,4 @@ def _turning(angles: FloatArray) -> FloatArray:
     """Rotation vector about the axes of the image, by a small change of each angle (3, 3)."""
     _, y, z = angles
     first, second = r3(z) @ r2(y) @ np.eye(3)[0], r3(z) @ np.eye(3)[1]
-    turning: FloatArray = np.column_stack([first, second, np.eye(3)[2]])
-    return turning
+    return np.column_stack([first, second, np.eye(3)[2]])

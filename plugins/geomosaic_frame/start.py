@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, SensorInputError
+from geomosaic.errors import SensorInputError
 from geomosaic.geo.crs import geographic, is_local
 from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.geo.local_frames import LocalFrame, angles_of
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import height_unit
-from geomosaic.sensor.inputs import flag, known_keys, number, numbers, table_of
+from geomosaic.sensor.inputs import apriori_sigmas, flag, numbers
 from geomosaic.sensor.plausibility import SkyError, centre_dip
 from geomosaic.sensor.ray_corrections import RayCorrection
 from geomosaic.types import FloatArray
 from geomosaic_frame.camera import CameraModel
-from geomosaic_frame.model import NAMES, FrameModel, names_of, parameters_of
+from geomosaic_frame.model import NAMES, FrameModel, parameters_of
 from geomosaic_frame.orientation import FLIP, SYSTEMS
 from geomosaic_frame.placement import Place
 from geomosaic_frame.rolling_shutter import NAMES as MOTION
@@ -40,24 +40,14 @@ GUESSED_HEIGHT = 100.0
 
 def _sigmas(camera: CameraModel, options: Mapping[str, Any], where: str) -> FloatArray:
     """A-priori sigmas of the parameters; the pose is free where none are given, and a motion as large as speeds are."""
-    table = table_of(options.get("sigmas", {}), "sigmas", where)
-    where = f"{where}, sigmas"
-    names, groups = names_of(camera), GROUPS if camera.shutter is None else GROUPS | MOTION_GROUPS
-    known_keys(table, (*groups, *names), where)
-    values = dict.fromkeys(NAMES, np.inf)
+    usual, groups = dict.fromkeys(NAMES, np.inf), GROUPS
     if camera.shutter is not None:
+        groups = GROUPS | MOTION_GROUPS
         speed = GIVEN_SPEED if options.get("velocity") is not None else UNKNOWN_SPEED
-        values |= dict.fromkeys(MOTION[:3], speed * camera.shutter.readout_time) | dict.fromkeys(MOTION[3:], 0.0)
+        usual |= dict.fromkeys(MOTION[:3], speed * camera.shutter.readout_time) | dict.fromkeys(MOTION[3:], 0.0)
     if camera.deformation is not None:
-        values |= dict.fromkeys(camera.deformation.names, camera.deformation.sigma)
-    for group, own in groups.items():
-        if group in table:
-            values.update(dict.fromkeys(own, number(table[group], group, where)))
-    values.update({name: number(table[name], name, where) for name in names if name in table})
-    negative = [name for name, value in values.items() if value < 0.0]
-    if negative:
-        raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")
-    return np.array([values[name] for name in names])
+        usual |= dict.fromkeys(camera.deformation.names, camera.deformation.sigma)
+    return np.array(apriori_sigmas(options.get("sigmas", {}), usual, groups, where))
 
 
 def _motion(

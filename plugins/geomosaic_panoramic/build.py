@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import InputError, SensorInputError, SolveError, default_hint
+from geomosaic.errors import InputError, SensorInputError, default_hint, default_where
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.local_frames import LocalFrame, map_place
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.inputs import known_keys, number, point_rows
+from geomosaic.sensor.inputs import apriori_sigmas, point_rows
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import Parameters, SensorRequest
 from geomosaic.sensor.ray_corrections import requested_correction
@@ -85,39 +85,20 @@ def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: flo
     if refine == "none" or not rows:
         return model
     table = np.array(rows)
-    try:
-        ground = Transform(crs, model.crs)(table[:, :3])
+    ground = Transform(crs, model.crs)(table[:, :3])
+    with default_where(where):
         found = resect_control(model, ground, table[:, 3:5], table[:, 5], names, priors=sigmas)
-    except SolveError as error:
-        error.where = where
-        raise
-    found.warn(where)
-    solved = found.solved.model
-    return replace(solved, notes=(*solved.notes, found.summary(names)), left_out=found.left_out)
+    return found.noted(names, where)
 
 
 def _sigmas(model: PanoramicModel, request: SensorRequest, above: float) -> FloatArray:
     """A-priori sigmas: those of what is known of the flight, then of groups, then of single parameters."""
-    where, table = request.image, request.options.get("sigmas", {})
-    if not isinstance(table, Mapping):
-        raise SensorInputError(
-            f"sigmas = {table!r} is not a table", name="sigmas", where=where, hint=f"give {', '.join(GROUPS)}"
-        )
-    names = model.parameters.names
-    known_keys(table, (*GROUPS, *names), f"{where}, sigmas")
     units = {"position": above, "speed": model.track.pace, "angles": 1.0, "rates": 1.0}
-    usual = MEASURED if "track" in request.options else {name: NOMINAL[name] * units[name] for name in GROUPS}
-    values = dict.fromkeys(names, 0.0)
+    known = MEASURED if "track" in request.options else {name: NOMINAL[name] * units[name] for name in GROUPS}
+    usual = dict.fromkeys(model.parameters.names, 0.0)
     for group, members in GROUPS.items():
-        sigma = number(table[group], f"sigmas, {group}", where) if group in table else usual[group]
-        values.update(dict.fromkeys(members, sigma))
-    values.update({name: number(table[name], f"sigmas, {name}", where) for name in names if name in table})
-    negative = [name for name, value in values.items() if value < 0.0]
-    if negative:
-        raise SensorInputError(
-            f"the sigma of {negative[0]} is negative", name="sigmas", where=where, hint="0 holds it fixed"
-        )
-    return np.array(list(values.values()))
+        usual |= dict.fromkeys(members, known[group])
+    return np.array(apriori_sigmas(request.options.get("sigmas", {}), usual, GROUPS, request.image))
 
 
 # Inputs of a straight flight, which a table or an orbit replaces.

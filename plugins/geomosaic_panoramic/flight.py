@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, did_you_mean
+from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, default_where, did_you_mean
 from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.local_frames import LocalFrame, enu_axes, map_place
 from geomosaic.geo.transform import Transform
@@ -78,10 +78,6 @@ def numbers_option(
         Named in errors.
     default : sequence of float, optional
         Where the option is not given; without it the option is needed.
-
-    Returns
-    -------
-    tuple of float
 
     Raises
     ------
@@ -232,11 +228,8 @@ def declared_orbit(options: Mapping[str, Any], frame: LocalFrame, half: float, w
         raise SensorInputError(
             f"period is {period:g} s", name="period", where=where, hint="give the seconds of one line or sweep"
         )
-    try:
+    with default_where(where):
         return orbit_poses(frame, inclination, ascending, period, half)
-    except InputError as error:
-        error.where = where
-        raise
 
 
 PER_STEP = {"scanner": "line", "sweeps": "sweep", "panoramic": "sweep"}

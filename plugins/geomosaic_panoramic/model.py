@@ -229,7 +229,8 @@ class RelativeStrip:
         base = geographic(frame.crs).ellipsoid
         shape = f"+a={base.semi_major_metre} +b={base.semi_minor_metre}" if base else "+ellps=WGS84"
         text = f"+proj=aeqd +lat_0={latitude!r} +lon_0={longitude!r} {shape} +units=m +type=crs"
-        return Transform(CRS.from_proj4(text).to_3d(), _earth(shape))
+        earth = CRS.from_proj4(f"+proj=geocent {shape} +units=m +type=crs")
+        return Transform(CRS.from_proj4(text).to_3d(), earth)
 
     def ground_to_image(self, xyz: FloatArray) -> FloatArray:
         """Map (N, 2 or more) to image (N, 2); heights play no part."""
@@ -255,7 +256,3 @@ class RelativeStrip:
         """Value of a state, as `to_dict` gives it."""
         inner = state["relative"]
         return cls(PanoramicModel.from_dict(inner["model"]), inner["above"], inner["curved"])
-
-
-def _earth(shape: str) -> CRS:
-    return CRS.from_proj4(f"+proj=geocent {shape} +units=m +type=crs")

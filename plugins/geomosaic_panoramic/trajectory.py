@@ -249,8 +249,7 @@ class Poses:
     @cached_property
     def _slopes(self) -> FloatArray:
         edge: Literal[1, 2] = 2 if len(self.times) > 2 else 1
-        slopes: FloatArray = np.gradient(self._values, self.times, axis=0, edge_order=edge)
-        return slopes
+        return np.gradient(self._values, self.times, axis=0, edge_order=edge)
 
     @cached_property
     def _cubics(self) -> FloatArray:
@@ -487,11 +486,6 @@ def _inertial_azimuth(inclination: float, latitude: float, *, ascending: bool) -
     return math.asin(sine) if ascending else math.pi - math.asin(sine)
 
 
-def _angular_speed(radius: float) -> float:
-    """Angular speed on a circular orbit, √(GM / r³)."""
-    return math.sqrt(GM / radius**3)
-
-
 def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds: float, half: float) -> Poses:
     """Poses of a satellite on a circular orbit through the origin of a frame at τ = 0.
 
@@ -524,7 +518,7 @@ def orbit_poses(frame: LocalFrame, inclination: float, ascending: bool, seconds:
     count = 2 * max(2, math.ceil(reach * seconds / STEP)) + 1
     tau = np.linspace(-reach, reach, count)
     t = tau * seconds
-    n = _angular_speed(radius)
+    n = math.sqrt(GM / radius**3)
     c, s = np.cos(n * t)[:, None], np.sin(n * t)[:, None]
     places = _turned(radius * (c * up + s * ahead), -SPIN * t)
     # The inertial velocity, not that over the ground: no yaw steering follows the turning Earth.

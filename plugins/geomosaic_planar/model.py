@@ -68,8 +68,7 @@ class Transformation:
 
     def normalised(self, xy: FloatArray) -> FloatArray:
         """Normalised ground u, v (N, 2) of map positions (N, 2) or (N, 3)."""
-        uv: FloatArray = (np.asarray(xy, dtype=np.float64)[:, :2] - self.centre) / self.scale
-        return uv
+        return (np.asarray(xy, dtype=np.float64)[:, :2] - self.centre) / self.scale
 
     def image(self, uv: FloatArray) -> FloatArray:
         """Image (col, row) (N, 2) of normalised ground (N, 2), pixels; NaN behind the horizon of a projective map."""

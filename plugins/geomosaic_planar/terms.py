@@ -53,10 +53,6 @@ def parameter_names(kind: str, order: int, nodes: int = 0) -> tuple[str, ...]:
         Degree of a polynomial; 1 for affine.
     nodes : int
         Of a spline, whose parameters are the image coordinates of its nodes.
-
-    Returns
-    -------
-    tuple of str
     """
     if kind == "tps":
         return tuple(f"{axis}{i + 1}" for axis in ("col", "row") for i in range(nodes))
@@ -119,8 +115,7 @@ def basis(order: int, uv: FloatArray) -> FloatArray:
         In the order of `_exponents`.
     """
     (i, j), (u, v) = _indices(order), _powers(order, uv)
-    terms: FloatArray = (u[i] * v[j]).T
-    return terms
+    return (u[i] * v[j]).T
 
 
 def _basis_slopes(order: int, uv: FloatArray) -> tuple[FloatArray, FloatArray]:

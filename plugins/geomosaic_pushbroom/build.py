@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import InputError, SensorInputError, SolveError
+from geomosaic.errors import InputError, SensorInputError, default_where
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.info import corner_in_scene
-from geomosaic.sensor.inputs import known_keys, number, scene_offset
+from geomosaic.sensor.inputs import apriori_sigmas, number, scene_offset
 from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.solve import resect_control
@@ -21,7 +21,7 @@ from geomosaic.types import FloatArray
 from geomosaic_pushbroom.metadata import find_beside, metadata_in_folder, read_metadata
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import CORRECTIONS, HIGHEST_DEGREE, ReportedFlight
-from geomosaic_pushbroom.points import ImageControl, need_crs, read_points, with_control
+from geomosaic_pushbroom.points import ImageControl, need_crs, read_points
 from geomosaic_pushbroom.reported import AprioriSigmas, SceneMetadata
 from geomosaic_pushbroom.track import read_track
 from geomosaic_pushbroom.unreported import model_from_control
@@ -205,35 +205,18 @@ def _curved(flight: ReportedFlight, options: Mapping[str, Any], half: float, whe
 
 def _sigmas(options: Mapping[str, Any], quality: AprioriSigmas, flight: ReportedFlight, where: str) -> FloatArray:
     """A-priori sigmas of the corrections: those of the mission, then groups, then single ones."""
-    table = options.get("sigmas", {})
-    if not isinstance(table, Mapping):
-        raise InputError(
-            f"sigmas = {table!r} is not a table",
-            where=where,
-            hint="give groups or parameters with their sigmas, such as {angles = 0.001}",
-        )
     groups = {**GROUPS, **({"curve": flight.names[len(CORRECTIONS) :]} if flight.degree > 1 else {})}
-    known_keys(table, (*groups, *flight.names), f"{where}, sigmas")
-    values = dict.fromkeys(flight.names, 0.0)
     # A curve may be as large as what the sigma of a rate makes in half a scene.
-    usual = {"angles": quality.angles, "rates": quality.rates, "position": quality.position}
-    usual["curve"] = quality.rates * flight.half
+    known = {**vars(quality), "curve": quality.rates * flight.half}
+    usual = dict.fromkeys(flight.names, 0.0)
     for group, names in groups.items():
-        sigma = number(table[group], f"sigmas, {group}", where) if group in table else usual[group]
-        values.update(dict.fromkeys(names, sigma))
-    values.update({name: number(table[name], f"sigmas, {name}", where) for name in flight.names if name in table})
-    negative = [name for name, value in values.items() if value < 0.0]
-    if negative:
-        raise InputError(f"the sigma of {negative[0]} is negative", where=where, hint="0 holds it fixed")
-    return np.array(list(values.values()))
+        usual |= dict.fromkeys(names, known[group])
+    return np.array(apriori_sigmas(options.get("sigmas", {}), usual, groups, where))
 
 
 def _refined(model: PushbroomModel, control: ImageControl, request: SensorRequest) -> PushbroomModel:
     """Model with the reported flight corrected by control points, each parameter within its sigma."""
     xyz = Transform(need_crs(request), model.crs)(control.xyz)
-    try:
+    with default_where(request.image):
         found = resect_control(model, xyz, control.colrow, control.sigmas, control.names)
-    except SolveError as error:
-        error.where = request.image
-        raise
-    return with_control(found, control, request.image)
+    return found.noted(control.names, request.image)

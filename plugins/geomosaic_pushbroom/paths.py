@@ -139,8 +139,7 @@ def horner(coefficients: FloatArray, u: FloatArray) -> FloatArray:
     total = np.broadcast_to(coefficients[-1], (len(u), coefficients.shape[1]))
     for row in coefficients[-2::-1]:
         total = total * u + row
-    result: FloatArray = total
-    return result
+    return total
 
 
 def _horner_slope(coefficients: FloatArray, u: FloatArray) -> FloatArray:

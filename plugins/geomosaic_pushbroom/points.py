@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,7 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import known_keys, number, positive
 from geomosaic.sensor.plugin import SensorRequest
-from geomosaic.sensor.solve import ControlResection
 from geomosaic.types import FloatArray
-from geomosaic_pushbroom.model import PushbroomModel
 
 POINT = ("x", "y", "z", "col", "row")
 
@@ -97,21 +95,4 @@ def need_crs(request: SensorRequest) -> CRS:
             where=request.image,
             hint="name one with a vertical datum, for example EPSG:32633 with heights = 'egm96'",
         )
-    crs: CRS = request.crs
-    return crs
-
-
-def with_control(found: ControlResection[PushbroomModel], control: ImageControl, where: str) -> PushbroomModel:
-    """Model with what became of its control points, and a note on their residuals; points left out are warned of.
-
-    Parameters
-    ----------
-    found : ControlResection
-    control : ImageControl
-        Its points.
-    where : str
-        Image.
-    """
-    found.warn(where)
-    model = found.solved.model
-    return replace(model, notes=(*model.notes, found.summary(control.names)), left_out=found.left_out)
+    return request.crs

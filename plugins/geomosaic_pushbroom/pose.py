@@ -103,8 +103,7 @@ class LookDirections:
         """Second Legendre polynomial over the line: 1 at both ends, −0.5 in the middle."""
         middle, half = self._span
         along = (cols - middle) / half
-        curve: FloatArray = 1.5 * along * along - 0.5
-        return curve
+        return 1.5 * along * along - 0.5
 
     def slopes(self, cols: FloatArray, stretch: float = 0.0, bend: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Slopes (N,) across and along of columns (N,); NaN more than five line lengths beyond an end.
@@ -159,8 +158,7 @@ class LookDirections:
 
     def _as_known(self, slopes: FloatArray) -> FloatArray:
         """Slopes in the form the nodes are stored in: angles where `angular`."""
-        known: FloatArray = np.arctan(slopes) if self.angular else slopes
-        return known
+        return np.arctan(slopes) if self.angular else slopes
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
@@ -273,13 +271,11 @@ def combined(axes: FloatArray, parts: FloatArray) -> FloatArray:
     array (N, 3)
         Geocentric.
     """
-    vectors: FloatArray = parts[:, :1] * axes[:, 0] + parts[:, 1:2] * axes[:, 1] + parts[:, 2:] * axes[:, 2]
-    return vectors
+    return parts[:, :1] * axes[:, 0] + parts[:, 1:2] * axes[:, 1] + parts[:, 2:] * axes[:, 2]
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    product: FloatArray = a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
-    return product
+    return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
 
 
 def turned(axes: FloatArray, pitch: FloatArray, roll: FloatArray, yaw: FloatArray) -> FloatArray:
@@ -325,8 +321,7 @@ def unit(vectors: FloatArray) -> FloatArray:
     -------
     array (N, 3)
     """
-    scaled: FloatArray = vectors / np.sqrt(_dot(vectors, vectors))[:, None]
-    return scaled
+    return vectors / np.sqrt(_dot(vectors, vectors))[:, None]
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

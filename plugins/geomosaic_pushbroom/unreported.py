@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
+from geomosaic.errors import GeomosaicError, InputError, SolveError, counted, default_where
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame, angles_of
 from geomosaic.geo.transform import Transform
@@ -26,7 +26,7 @@ from geomosaic.sensor.solve.control_judgement import LinearControl, judge_contro
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import ADDITIONAL, IDEAL, StraightFlight
-from geomosaic_pushbroom.points import ImageControl, need_crs, with_control
+from geomosaic_pushbroom.points import ImageControl, need_crs
 from geomosaic_pushbroom.pose import LookDirections
 
 
@@ -107,15 +107,12 @@ def model_from_control(request: SensorRequest, control: ImageControl) -> Pushbro
     crs = need_crs(request)
     frame = LocalFrame.at(crs, np.array([*control.xyz.mean(axis=0)])[None])
     suspects = _contradicting_points(frame.to_enu(Transform(crs, ECEF)(control.xyz)), control.colrow)
-    try:
+    with default_where(where):
         found = _flight(request, control, frame, suspects, additional)
         # A suspect that the flight of the others meets takes part from the start.
         if (suspects & found.used).any():
             found = _flight(request, control, frame, suspects & ~found.used, additional)
-    except SolveError as error:
-        error.where = where
-        raise
-    return with_control(found, control, where)
+    return found.noted(control.names, where)
 
 
 def _flight(
@@ -124,7 +121,8 @@ def _flight(
     """Straight flight from control points, started without those that are suspects (N,)."""
     where, options, good = request.image, request.options, ~suspects
     xyz = Transform(need_crs(request), ECEF)(control.xyz)
-    centre = _principal(options, request.size[0], where)
+    given = options.get("principal_col")
+    centre = request.size[0] / 2.0 if given is None else number(given, "principal_col", where)
     start = initial_values(frame.to_enu(xyz[good]), control.colrow[good], request.size, centre, options, where)
     height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
     factor = 10.0 if start.flying_height < AIRBORNE else 1.0
@@ -196,11 +194,6 @@ def _additional(given: Any, count: int, where: str) -> tuple[str, ...]:
             hint="give more points, or additional = none",
         )
     return chosen
-
-
-def _principal(options: Mapping[str, Any], width: int, where: str) -> float:
-    given = options.get("principal_col")
-    return width / 2.0 if given is None else number(given, "principal_col", where)
 
 
 def initial_values(

@@ -22,11 +22,6 @@ _WGS84 = np.array([6378137.0, 6378137.0, 6356752.314245])
 _RPC = "use the sensor 'rpc', whose polynomials the same file has"
 
 
-def _has_physical_model(root: Element) -> bool:
-    """Whether a DigitalGlobe document has ephemeris, attitudes and camera."""
-    return all(root.find(part) is not None for part in ("EPH", "ATT", "GEO"))
-
-
 def read_worldview(root: Element, where: str, band: str | None = None) -> SceneMetadata:
     """Metadata of a basic product (1B) of DigitalGlobe.
 
@@ -50,7 +45,7 @@ def read_worldview(root: Element, where: str, band: str | None = None) -> SceneM
     satellite (forward, right, to the ground) to geocentric ones, and QCS those of the camera to the satellite's.
     Detector k of the line, from 0, is at DETORIGIN + DETPITCH · R(DETROTANGLE) · (0, −k) mm, at the distance PD.
     """
-    if not _has_physical_model(root) or root.find(".//MAP_PROJECTED_PRODUCT") is not None:
+    if None in map(root.find, ("EPH", "ATT", "GEO")) or root.find(".//MAP_PROJECTED_PRODUCT") is not None:
         raise InputError(
             "this product has no ephemeris, attitudes and camera, or was rectified: its rows are no scan lines",
             where=where,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError, default_hint
+from geomosaic.errors import GeomosaicWarning, InputError, default_hint, default_where
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
 from geomosaic.raster.info import corner_in_scene
@@ -173,10 +173,6 @@ def files_beside(path: Path) -> tuple[Path, ...]:
     ----------
     path : Path
         Image file.
-
-    Returns
-    -------
-    tuple of Path
     """
     sure, maybe = _named(path)
     if pam_has_rpc(path):
@@ -333,11 +329,8 @@ def _refined(model: RpcModel, request: SensorRequest, kind: str) -> RpcModel:
         raise InputError("the control points have no CRS", where=where, hint="name it, e.g. EPSG:32633")
     require_vertical_datum(request.crs, "the control points", where, lambda _: model)
     names, ground, image, sigmas = _points(request.options["points"], where)
-    try:
+    with default_where(where):
         found = refine(model, Transform(request.crs, WGS84)(ground), image, kind, sigmas, names)
-    except SolveError as error:
-        error.where = where
-        raise
     found.search.warn(where)
     return found.model
 

@@ -102,8 +102,7 @@ class RpcModel:
         if not values.any():
             return image
         u, v = self._edges(image)
-        out: FloatArray = image + values[:2] + v[:, None] * values[2:4] + u[:, None] * values[4:]
-        return out
+        return image + values[:2] + v[:, None] * values[2:4] + u[:, None] * values[4:]
 
     def jacobian(self, xyz: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of (col, row) by parameters (N, 2, 6), and by ground (N, 2, 3) per degree and metre."""

@@ -226,8 +226,7 @@ class _TieProblem(Problem[_TieState]):
         """Sum of squares (T,) of each point's residuals in standard deviations, that of its height among them."""
         views = (state.residuals**2).sum(axis=1) / self.sigma_px**2
         height = (state.ground[:, 2] - self.height) / self.sigma_height
-        total: FloatArray = np.bincount(self.ties.point, views, self.ties.points) + height**2
-        return total
+        return np.bincount(self.ties.point, views, self.ties.points) + height**2
 
     def squares(self, state: _TieState) -> float:
         part = state.weights > 0.0

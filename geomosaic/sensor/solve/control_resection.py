@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Generic
+from dataclasses import dataclass, replace
+from typing import Any, Generic, cast
 
 import numpy as np
 
@@ -73,6 +73,20 @@ class ControlResection(Generic[Model]):
         worst, rms = int(np.nanargmax(length)), total_rms(self.residuals[self.used])
         count = f"{self.used.sum()} of {len(names)}" if self.left_out else f"{len(names)}"
         return f"{count} control points: RMS {rms:.2f} px, worst {length[worst]:.2f} px at {names[worst]}"
+
+    def noted(self, names: Sequence[str], where: str) -> Model:
+        """Fitted model that tells of its points: `summary` among its notes, and `left_out`, of which `warn` warns.
+
+        Parameters
+        ----------
+        names : sequence of str (N,)
+        where : str
+            Image.
+        """
+        self.warn(where)
+        model = cast(Any, self.solved.model)
+        noted: Model = replace(model, notes=(*model.notes, self.summary(names)), left_out=self.left_out)
+        return noted
 
 
 def resect_control(

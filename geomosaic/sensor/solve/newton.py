@@ -249,5 +249,4 @@ def _damped(
 
 
 def _length(residual: FloatArray) -> FloatArray:
-    length: FloatArray = np.hypot(residual[:, 0], residual[:, 1])
-    return length
+    return np.hypot(residual[:, 0], residual[:, 1])
