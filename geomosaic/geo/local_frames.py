@@ -101,8 +101,7 @@ def omega_phi_kappa(omega: float, phi: float, kappa: float) -> FloatArray:
     array (3, 3)
         Its rows are the image axes in the ground frame.
     """
-    rotation: FloatArray = r3(kappa) @ r2(phi) @ r1(omega)
-    return rotation
+    return r3(kappa) @ r2(phi) @ r1(omega)
 
 
 def angles_of(rotation: FloatArray) -> tuple[float, float, float]:
@@ -145,6 +144,19 @@ def angle_axis(vector: FloatArray) -> FloatArray:
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     rotation: FloatArray = np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
     return rotation
+
+
+def cross_matrices(vectors: FloatArray) -> FloatArray:
+    """Matrices (N, 3, 3) whose products with b are v × b, of vectors v (N, 3).
+
+    Parameters
+    ----------
+    vectors : array (N, 3)
+    """
+    zero = np.zeros(len(vectors))
+    x, y, z = vectors.T
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
 
 
 def enu_axes(longitude: float, latitude: float) -> FloatArray:

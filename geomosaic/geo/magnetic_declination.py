@@ -144,8 +144,7 @@ def _basis(longitude: float, latitude: float, height: float) -> FloatArray:
             out.append((-slope * s, -aside * c, -(n + 1) * p * s))
     turn = geocentric - phi
     c, s = math.cos(turn), math.sin(turn)
-    basis: FloatArray = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) @ np.array(out).T
-    return basis
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) @ np.array(out).T
 
 
 def _legendre(latitude: float) -> tuple[FloatArray, FloatArray]:

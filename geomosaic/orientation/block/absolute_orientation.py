@@ -38,8 +38,7 @@ class Similarity:
 
     def places(self, xyz: FloatArray) -> FloatArray:
         """Places (N, 3) after the transformation."""
-        moved: FloatArray = self.scale * xyz @ self.rotation.T + self.shift
-        return moved
+        return self.scale * xyz @ self.rotation.T + self.shift
 
     def poses(self, poses: Poses) -> Poses:
         """Poses after the transformation."""

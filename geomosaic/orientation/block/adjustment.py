@@ -164,10 +164,6 @@ def adjust_block(
     progress : callable, optional
         Called with (iterations, 0, stage).
 
-    Returns
-    -------
-    BlockAdjustment
-
     Raises
     ------
     SolveError
@@ -193,7 +189,9 @@ def adjust_block(
             # Where little holds a block, over flat control, an undamped step may throw it away.
             found = solve(softened, replace(state, weights=weights), DAMPED_RULES)
             rounds += found.rounds
-        rejected = [out | far for out, far in zip(_outlying(found.state), turned, strict=True)]
+        # Image positions, and points of lakes and planes, whose weight fell below a twenty-fifth.
+        weights = found.state.weights
+        rejected = [(weight > 0.0) & (weight < 0.04) | far for weight, far in zip(weights, turned, strict=True)]
         rejected[0] &= ~_rays_of_lost_control(problem, state, rejected[0])
         state = found.state
         scatter = first_scatter(problem, state, rejected, RULES)
@@ -453,11 +451,6 @@ def _undetermined(problem: BlockProblem, state: BlockState, network: Network, he
             "common points join the images",
         )
     return lost
-
-
-def _outlying(state: BlockState) -> list[BoolArray]:
-    """Image positions, and points of lakes and planes, whose weight fell below a twenty-fifth in robust rounds."""
-    return [(weight > 0.0) & (weight < 0.04) for weight in state.weights]
 
 
 def _rays_of_lost_control(problem: BlockProblem, state: BlockState, rejected: BoolArray) -> BoolArray:

@@ -9,8 +9,8 @@ import numpy as np
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.network import Network, Observations
 from geomosaic.estimation.solver import Problem, Stopping, solve
-from geomosaic.geo.local_frames import angle_axis
-from geomosaic.orientation.block.bearings import Bearings, Poses, cross_matrices
+from geomosaic.geo.local_frames import angle_axis, cross_matrices
+from geomosaic.orientation.block.bearings import Bearings, Poses
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # A start is near enough where a round lowers the sum of squares by less than a thousandth.

@@ -130,16 +130,3 @@ class Poses:
         """Angles (N,) by which bearings miss their points (S, 3), in pixels; infinite where one is unknown."""
         off = np.hypot(*bearings.misclosure(self.seen(bearings, xyz)).T)
         return np.where(np.isnan(off), np.inf, off)
-
-
-def cross_matrices(vectors: FloatArray) -> FloatArray:
-    """Matrices (N, 3, 3) whose products with b are v × b, of vectors v (N, 3).
-
-    Parameters
-    ----------
-    vectors : array (N, 3)
-    """
-    zero = np.zeros(len(vectors))
-    x, y, z = vectors.T
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geomosaic.geo.local_frames import angle_axis
+from geomosaic.geo.local_frames import angle_axis, cross_matrices
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.poses import Pose, moved_poses, pose_of, rotation_vector
 from geomosaic.sensor.plugin import SensorModel
@@ -46,8 +46,7 @@ class CommonRotation(NamedTuple):
     @property
     def second_order(self) -> FloatArray:
         """What an exact similarity adds to the linear step: a matrix (3, 3) of X − m."""
-        x, y, z = self.rotation
-        linear = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) + self.scale * np.eye(3)
+        linear = cross_matrices(self.rotation[None])[0] + self.scale * np.eye(3)
         exact: FloatArray = self.scale * angle_axis(self.rotation) - linear
         return exact
 
@@ -121,10 +120,6 @@ def with_pose(model: SensorModel, wanted: Pose, free: BoolArray, frame: BlockFra
     free : bool array (P,)
         Parameters that may change.
     frame : BlockFrame
-
-    Returns
-    -------
-    SensorModel
     """
     design, last = None, np.inf
     for _ in range(ITERATIONS):

@@ -123,8 +123,7 @@ def _widths(
     """Scatter of points across their best line over that along it, of moments (K,) each."""
     a, b, c = (m / count - p * q / count**2 for m, p, q in ((uu, u, u), (uv, u, v), (vv, v, v)))
     spread = np.hypot((a - c) / 2, b)
-    ratio: FloatArray = np.sqrt(np.maximum((a + c) / 2 - spread, 0.0) / np.maximum((a + c) / 2 + spread, 1e-300))
-    return ratio
+    return np.sqrt(np.maximum((a + c) / 2 - spread, 0.0) / np.maximum((a + c) / 2 + spread, 1e-300))
 
 
 def _some(names: Sequence[str], most: int = 3) -> str:

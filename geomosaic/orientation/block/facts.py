@@ -140,7 +140,7 @@ def _least_reliable(solution: BlockSolution) -> list[dict[str, Any]]:
                 found.append(
                     {
                         "kind": group.name,
-                        "point": solution.ids[int(group.point[row])],
+                        "point": solution.ids[int(group.points[row])],
                         "image": solution.images[int(views.image[row])] if index == 0 else "",
                         "detectable": float(own.detectable[row]),
                         "unit": UNITS.get(group.name, "m"),
@@ -163,24 +163,15 @@ def _known(known: KnownPoints) -> dict[str, Any]:
     columns = (
         known.errors, known.sigmas, known.sigmas_given, known.rays, known.rejected, known.detectable, known.shift,
     )  # fmt: skip
-    own = zip(known.ids, *(column.tolist() for column in columns), strict=True)
+    names = ("id", "errors", "sigmas", "sigmas_given", "rays", "rejected", "detectable", "shift")
     return {
         # A point whose rays do not meet has no place, and no error.
         "count": int((~known.rejected & np.isfinite(known.errors).any(axis=1)).sum()),
         "rms_plan": rms(slice(0, 2)),
         "rms_height": rms(slice(2, 3)),
         "points": [
-            {
-                "id": name,
-                "errors": errors,
-                "sigmas": sigmas,
-                "sigmas_given": given,
-                "rays": rays,
-                "rejected": out,
-                "detectable": detectable,
-                "shift": shift,
-            }
-            for name, errors, sigmas, given, rays, out, detectable, shift in own
+            dict(zip(names, point, strict=True))
+            for point in zip(known.ids, *(column.tolist() for column in columns), strict=True)
         ],
     }
 

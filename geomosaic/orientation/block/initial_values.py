@@ -439,8 +439,7 @@ def at_level(model: SensorModel, colrow: FloatArray, frame: LocalFrame, level: f
     origins, directions = _lines(model, colrow, frame)
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (level - origins[:, 2]) / directions[:, 2]
-    places: FloatArray = origins + np.where(along > 0.0, along, np.nan)[:, None] * directions
-    return places
+    return origins + np.where(along > 0.0, along, np.nan)[:, None] * directions
 
 
 def _pixel_angles(directions: FloatArray, beside: FloatArray) -> FloatArray:

@@ -40,8 +40,7 @@ def lost_points(problem: BlockProblem, state: BlockState, start: BlockState, rej
     """
     point, count = problem.views.points, len(start.moving)
     left = np.bincount(point[state.weights[0] > 0.0], minlength=count)
-    found: BoolArray = start.moving & (~state.moving | (np.bincount(point[rejected], minlength=count) >= left))
-    return found
+    return start.moving & (~state.moving | (np.bincount(point[rejected], minlength=count) >= left))
 
 
 def recover_points(

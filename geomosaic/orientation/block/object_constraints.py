@@ -7,12 +7,13 @@ planes and lines     0 − the distance of a point from a plane or a line with u
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geomosaic.estimation.observations import Observations
+from geomosaic.geo.local_frames import cross_matrices
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.observations import Group, of_coordinates
 from geomosaic.orientation.block.unknowns import BlockState, BlockUnknowns
@@ -43,11 +44,6 @@ class CommonHeights(Group):
         """Each height and its lake; see `Group`."""
         return np.arange(len(self)), self.lake
 
-    @property
-    def point(self) -> IntArray:
-        """Point of each (N,); -1 for none."""
-        return self.points
-
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Whitened misclosures (N, K); see `Group`."""
         height = frame.to_ground(state.points[self.points])[:, 2]
@@ -59,13 +55,7 @@ class CommonHeights(Group):
         slope = frame.axes_of_ground(state.points[self.points])[:, 2:3, :]
         found = of_coordinates(self.points, slope / self.sigma[:, None, None], self.misclosure(state, frame), unknowns)
         own = np.array([unknowns.of_further(each) for each in self.lake.tolist()]).reshape(-1, 1)
-        return Observations(
-            found.point,
-            np.hstack([own, found.columns]),
-            np.concatenate([-1.0 / self.sigma[:, None, None], found.by_parameters], axis=2),
-            found.by_point,
-            found.misclosure,
-        )
+        return _with_parameters(found, own, -1.0 / self.sigma[:, None, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +77,7 @@ class Distances(Group):
     of_points = False
 
     @property
-    def point(self) -> IntArray:
+    def points(self) -> IntArray:  # type: ignore[override]
         """Point of each (N,); -1 for none."""
         return np.full(len(self.first), -1)
 
@@ -117,7 +107,7 @@ class Distances(Group):
         ends = [np.concatenate([kept.get(a, none), kept.get(b, none)]) for a, b in pairs]
         by_ends = np.hstack([-along, along]) / self.sigma[:, None]
         return Observations(
-            self.point,
+            self.points,
             np.array(ends).reshape(-1, 6),
             by_ends[:, None, :],
             np.zeros((len(self), 1, 3)),
@@ -171,11 +161,6 @@ class OnSurfaces(Group):
         return np.arange(len(self)), self.body
 
     @property
-    def point(self) -> IntArray:
-        """Point of each (N,); -1 for none."""
-        return self.points
-
-    @property
     def observed(self) -> BoolArray:
         """Components (N, K): one of a plane, two of a line."""
         return np.ones((len(self), len(self._common)), dtype=np.bool_)
@@ -206,31 +191,27 @@ class OnSurfaces(Group):
     def linearised(self, state: BlockState, unknowns: BlockUnknowns, frame: BlockFrame) -> Observations:
         """Linearisation at a state; see `Group`."""
         off, places, turned, turns = self._computed(state)
-        by_turns = (_cross(places) @ _right_jacobian(turns))[:, self._common, :2] * np.radians(1.0)
+        by_turns = (cross_matrices(places) @ _right_jacobian(turns))[:, self._common, :2] * np.radians(1.0)
         shifts = np.broadcast_to(-np.eye(len(self._common)), (len(self), len(self._common), len(self._common)))
         over = self.sigma[:, None, None]
         found = of_coordinates(self.points, turned[:, self._common] / over, -off / self.sigma[:, None], unknowns)
         own = np.array([unknowns.of_further(each) for each in self.body.tolist()])
         by_own = np.concatenate([by_turns, shifts], axis=2) / over
-        return Observations(
-            found.point,
-            np.hstack([own, found.columns]),
-            np.concatenate([by_own, found.by_parameters], axis=2),
-            found.by_point,
-            found.misclosure,
-        )
+        return _with_parameters(found, own, by_own)
+
+
+def _with_parameters(found: Observations, columns: IntArray, derivatives: FloatArray) -> Observations:
+    """Observations with further parameters, of columns (N, P) and derivatives (N, K, P), before their own."""
+    return replace(
+        found,
+        columns=np.hstack([columns, found.columns]),
+        by_parameters=np.concatenate([derivatives, found.by_parameters], axis=2),
+    )
 
 
 def _about(turns: FloatArray) -> FloatArray:
     """Rotation vectors (N, 3) of turns (N, 2) about the first two axes."""
     return np.column_stack([turns, np.zeros(len(turns))])
-
-
-def _cross(vectors: FloatArray) -> FloatArray:
-    """Matrices (N, 3, 3) of the cross product with vectors (N, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
 def _right_jacobian(turns: FloatArray) -> FloatArray:
@@ -240,6 +221,6 @@ def _right_jacobian(turns: FloatArray) -> FloatArray:
     small, safe = angle < 1e-2, np.maximum(angle, 1e-2)
     first = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
     second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
-    cross = _cross(_about(turns))
+    cross = cross_matrices(_about(turns))
     jacobian: FloatArray = np.eye(3) - first * cross + second * cross @ cross
     return jacobian

@@ -41,11 +41,8 @@ class Group(ABC):
     """Components K of each, where they are of images."""
     further_units: tuple[str, ...] = ()
     """Units of the unknowns of each group of further ones."""
-
-    @property
-    @abstractmethod
-    def point(self) -> IntArray:
-        """Point (N,) of each; -1 where none, or more than one, takes part."""
+    points: IntArray
+    """Point (N,) of each; -1 where none, or more than one, takes part."""
 
     @abstractmethod
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
@@ -77,13 +74,13 @@ class Group(ABC):
 
     def placed(self, moving: BoolArray) -> BoolArray:
         """Observations (N,) whose points all have a place, of points (S,) that have one."""
-        return moving[self.point] if self.of_points else np.ones(len(self), dtype=np.bool_)
+        return moving[self.points] if self.of_points else np.ones(len(self), dtype=np.bool_)
 
     @property
     def row_points(self) -> tuple[IntArray, IntArray]:
         """Observations and points, pair by pair, where an observation is of a point or joins two."""
-        there = np.flatnonzero(self.point >= 0)
-        return there, self.point[there]
+        there = np.flatnonzero(self.points >= 0)
+        return there, self.points[there]
 
     @property
     def row_images(self) -> tuple[IntArray, IntArray]:
@@ -100,7 +97,7 @@ class Group(ABC):
         return {}
 
     def __len__(self) -> int:
-        return len(self.point)
+        return len(self.points)
 
 
 def unit_matrices(group: Group, components: int) -> FloatArray:
@@ -114,8 +111,7 @@ def unit_matrices(group: Group, components: int) -> FloatArray:
     """
     root, sigma = getattr(group, "root", None), getattr(group, "sigma", None)
     if root is not None:
-        found: FloatArray = np.linalg.pinv(root)
-        return found
+        return np.linalg.pinv(root)
     return np.eye(components) * (np.ones(len(group)) if sigma is None else sigma)[:, None, None]
 
 
@@ -205,11 +201,6 @@ class ImagePositions(Group):
     root: FloatArray
     name = "image positions"
     components = 2
-
-    @property
-    def point(self) -> IntArray:
-        """Point of each (N,); -1 for none."""
-        return self.points
 
     @cached_property
     def slices(self) -> list[tuple[int, slice]]:
@@ -318,11 +309,6 @@ class GroundControl(Group):
     name = "control"
 
     @property
-    def point(self) -> IntArray:
-        """Point of each (N,); -1 for none."""
-        return self.points
-
-    @property
     def observed(self) -> BoolArray:
         """Components (N, K) that were given."""
         given: BoolArray = (self.root != 0.0).any(axis=2)
@@ -355,11 +341,6 @@ class SurfaceHeights(Group):
     sigma: FloatArray
     surface: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
     name = "heights of the DEM"
-
-    @property
-    def point(self) -> IntArray:
-        """Point of each (N,); -1 for none."""
-        return self.points
 
     def misclosure(self, state: BlockState, frame: BlockFrame) -> FloatArray:
         """Whitened misclosures (N, K); see `Group`."""

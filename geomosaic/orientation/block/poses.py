@@ -99,7 +99,7 @@ class PoseGroup(Group):
         return ((),) * len(self.images)
 
     @property
-    def point(self) -> IntArray:
+    def points(self) -> IntArray:  # type: ignore[override]
         """Point of each (N,); -1 for none."""
         return np.full(len(self.images), -1)
 
@@ -179,7 +179,7 @@ class PoseGroup(Group):
         for row, (columns_here, slopes_here) in enumerate(rows):
             all_columns[row, : len(columns_here)] = columns_here
             by_parameters[row, :, : len(columns_here)] = slopes_here
-        return Observations(self.point, all_columns, by_parameters, np.zeros((*misclosure.shape, 3)), misclosure)
+        return Observations(self.points, all_columns, by_parameters, np.zeros((*misclosure.shape, 3)), misclosure)
 
 
 def moved_poses(model: SensorModel, frame: BlockFrame) -> list[tuple[Pose, Pose]]:

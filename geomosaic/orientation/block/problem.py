@@ -43,7 +43,7 @@ class Priors(Group):
         return np.flatnonzero(every.free & np.isfinite(every.sigmas))
 
     @property
-    def point(self) -> Any:
+    def points(self) -> Any:  # type: ignore[override]
         """Point of each (N,); -1 for none."""
         return np.full(len(self._rows), -1)
 
@@ -64,7 +64,7 @@ class Priors(Group):
         """Linearisation at a state; see `Group`."""
         root = 1.0 / self.unknowns.all.sigmas[self._rows]
         return Observations(
-            self.point,
+            self.points,
             unknowns.columns[self._rows][:, None],
             root[:, None, None],
             np.zeros((len(root), 1, 3)),
@@ -154,7 +154,7 @@ class BlockProblem(Problem[BlockState]):
         for group, weight in zip(self.groups, weights, strict=True):
             if group.of_points:
                 size = 2 if group is self.views else group.observed.sum(axis=1)
-                np.add.at(count, group.point, np.where(weight > 0.0, size, 0))
+                np.add.at(count, group.points, np.where(weight > 0.0, size, 0))
         return count >= 3
 
     def with_determined_images(self, state: BlockState, weak: BoolArray) -> tuple[BlockProblem, BlockState, BoolArray]:

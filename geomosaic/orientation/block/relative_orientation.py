@@ -14,7 +14,7 @@ import numpy as np
 
 from geomosaic.estimation.equations import Equations
 from geomosaic.estimation.solver import Problem, Stopping, solve
-from geomosaic.geo.local_frames import angle_axis
+from geomosaic.geo.local_frames import angle_axis, cross_matrices
 from geomosaic.types import BoolArray, FloatArray
 
 # Samples of five points that are drawn at once, and at most: of 50 % wrong ties, 450 hold a right one at 99.9999 %.
@@ -51,7 +51,7 @@ class RelativeOrientation:
     @property
     def matrix(self) -> FloatArray:
         """Essential matrix of norm one."""
-        matrix: FloatArray = _cross(-self.rotation @ self.centre) @ self.rotation / np.sqrt(2.0)
+        matrix: FloatArray = cross_matrices(-(self.rotation @ self.centre)[None])[0] @ self.rotation / np.sqrt(2.0)
         return matrix
 
 
@@ -137,7 +137,7 @@ def _refined(
             return None
         problem = _Coplanarity(first[used], second[used], angle[used])
         rotation, base = solve(problem, pose, Stopping(rounds=20, step=1e-8)).state
-        matrix = _cross(base) @ rotation
+        matrix = cross_matrices(base[None])[0] @ rotation
         used = _misses(matrix[None], first, second)[0] / angle <= tolerance
     near, far = _depths(rotation, base, first, second)
     used &= (near > 0.0) & (far > 0.0)
@@ -254,11 +254,6 @@ def _depths(
     return cosine * along_second - along_first, along_second - cosine * along_first
 
 
-def _cross(vector: FloatArray) -> FloatArray:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 _Pose = tuple[FloatArray, FloatArray]
 
 
@@ -300,5 +295,4 @@ class _Coplanarity(Problem[_Pose]):
 
 def _beside(vector: FloatArray) -> FloatArray:
     """Two unit vectors (2, 3) across a unit vector."""
-    rest: FloatArray = np.linalg.svd(vector[None])[2][1:]
-    return rest
+    return np.linalg.svd(vector[None])[2][1:]

@@ -64,8 +64,7 @@ class KnownPoints:
     def rms(self) -> FloatArray:
         """RMS errors (3,) of the points that were not rejected; NaN without any."""
         part = ~self.rejected & np.isfinite(self.errors).all(axis=1)
-        found: FloatArray = np.sqrt((self.errors[part] ** 2).mean(axis=0)) if part.any() else np.full(3, np.nan)
-        return found
+        return np.sqrt((self.errors[part] ** 2).mean(axis=0)) if part.any() else np.full(3, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,14 +193,12 @@ class BlockSolution:
         cofactors = np.where(
             self.adjustment.state.moving[:, None, None], self.adjustment.network.factored.inverses, 0.0
         )
-        turned: FloatArray = self.axes @ cofactors @ np.swapaxes(self.axes, 1, 2) * self.variance_factor
-        return turned
+        return self.axes @ cofactors @ np.swapaxes(self.axes, 1, 2) * self.variance_factor
 
     @cached_property
     def point_sigmas(self) -> FloatArray:
         """Standard deviations (S, 3) of the points along the axes of the ground's CRS."""
-        found: FloatArray = np.sqrt(np.diagonal(self.point_covariance, axis1=1, axis2=2))
-        return found
+        return np.sqrt(np.diagonal(self.point_covariance, axis1=1, axis2=2))
 
     @cached_property
     def rays(self) -> IntArray:
@@ -238,7 +235,7 @@ class BlockSolution:
         np.fmax.at(detectable, self.adjustment.problem.views.points, self.reliability[0].detectable)
         for group, own in zip(self.adjustment.problem.groups, self.reliability, strict=True):
             if group.of_points:
-                np.fmax.at(shift, group.point, own.shift)
+                np.fmax.at(shift, group.points, own.shift)
         return detectable, shift
 
     def _known(self, point: IntArray, rejected: BoolArray, detectable: FloatArray) -> KnownPoints:

@@ -114,10 +114,6 @@ def weak_roll(problem: BlockProblem, state: BlockState) -> WeakRotation | None:
     problem : BlockProblem
     state : BlockState
         A solution.
-
-    Returns
-    -------
-    WeakRotation or None
     """
     posed = [model for model in state.models if hasattr(model, "pose")]
     if len(posed) < 2 or _line(np.array([pose_of(model, problem.frame).centre for model in posed])) is None:
