@@ -227,10 +227,6 @@ def footprint(scene: OrientedImage, surface: Surface | None, crs: CRS) -> Footpr
     crs : CRS
         Of the output; a vertical part is ignored.
 
-    Returns
-    -------
-    Footprint
-
     Raises
     ------
     InputError

@@ -61,10 +61,6 @@ def read_template(path: PathLike, at: tuple[float, float] | None = None, side: i
     side : int, optional
         Side of the square, pixels; the whole file is the template unless both are given.
 
-    Returns
-    -------
-    MarkTemplate
-
     Raises
     ------
     InputError

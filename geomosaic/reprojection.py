@@ -180,10 +180,6 @@ def operation_text(source: CRS, target: CRS) -> str:
     Parameters
     ----------
     source, target : CRS
-
-    Returns
-    -------
-    str
     """
     return f"{source.name} to {target.name}: {operation_between(horizontal(source), horizontal(target)).text()}"
 
@@ -209,10 +205,6 @@ def reproject_vectors(
         Of the input, instead of what the file says.
     overwrite : bool
         Replace an existing output.
-
-    Returns
-    -------
-    VectorResult
 
     Raises
     ------

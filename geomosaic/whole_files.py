@@ -30,10 +30,6 @@ def path_of(given: object, parameter: str) -> Path:
     parameter : str
         Its name, for the message.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     InputError
@@ -113,10 +109,6 @@ def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
     largest : int
         Bytes.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     InputError
@@ -153,10 +145,6 @@ def read_toml(path: PathLike, what: str, largest: int = LARGEST_TABLE) -> dict[s
         Kind of file for messages, such as 'camera file'.
     largest : int
         Bytes: a file picked by mistake is refused before it fills the memory.
-
-    Returns
-    -------
-    dict
 
     Raises
     ------

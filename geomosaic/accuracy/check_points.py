@@ -180,10 +180,6 @@ def check_map(raster: Path, points: Path, wanted: CheckOptions, *, insist: bool 
     insist : bool
         Go on where coordinates look wrong.
 
-    Returns
-    -------
-    MapCheck
-
     Raises
     ------
     InputError

@@ -125,10 +125,6 @@ def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, re
         Pixels that both have.
     tile, reach : int
         Side of a tile and largest shift, pixels; see `geomosaic.matching.shifts.shifts`.
-
-    Returns
-    -------
-    Shifts
     """
     return shifts(first.mean(axis=2), second.mean(axis=2), both, tile, reach)
 

@@ -13,7 +13,7 @@ from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.errors import GeomosaicError, InputError, counted, listed
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.orientation.block.connectivity import UndeterminedError
-from geomosaic.types import BoolArray, IntArray
+from geomosaic.types import IntArray
 
 UNSEEN = "no tie point in common with another image"
 WEAK = "what it has in common with the others does not orient it"
@@ -90,7 +90,8 @@ class DeterminedImages:
         out[np.concatenate(parts)] = True
         rest, all_of, largest = int((~out).sum()), len(names) + len(self.aside), max(map(len, parts))
         # Of rigs and of what the user has fixed the rest needs all images.
-        bound = self.options.rigs is not None or bool(fixed_images(self.start, self.options.fixed) & {*_numbers(out)})
+        fixed = fixed_images(self.start, self.options.fixed)
+        bound = self.options.rigs is not None or bool(fixed & {*np.flatnonzero(out).tolist()})
         if bound or 2 * rest < all_of or rest <= largest:
             raise error
         alone = WEAK if isinstance(error, UndeterminedError) else UNSEEN
@@ -127,8 +128,3 @@ def set_aside_text(aside: Mapping[str, str]) -> str:
         by_reason.setdefault(why, []).append(name)
     causes = [f"{listed(names, 6)} ({why})" for why, names in by_reason.items()]
     return f"{counted(len(aside), 'image')} set aside, the rest is adjusted: {listed(causes, 6, '; ')}"
-
-
-def _numbers(which: BoolArray) -> list[int]:
-    found: list[int] = np.flatnonzero(which).tolist()
-    return found

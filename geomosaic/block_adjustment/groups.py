@@ -224,8 +224,7 @@ def _turns(angles: Mapping[str, Any]) -> FloatArray:
     for step in np.eye(3) * 1e-6:
         change = (omega_phi_kappa(*(values + step)) - omega_phi_kappa(*(values - step))) @ rotation.T / 2e-6
         columns.append([change[2, 1], change[0, 2], change[1, 0]])
-    turned: FloatArray = FLIP @ np.array(columns).T
-    return turned
+    return FLIP @ np.array(columns).T
 
 
 def _strips(

@@ -83,10 +83,6 @@ def image_residuals(
         GeoPackage `tie_points.gpkg` of the adjustment; no residuals without one.
     left_out : collection of (str, str)
         Image and point of measurements that were left out as blunders.
-
-    Returns
-    -------
-    ImageResiduals
     """
     from pandas import factorize
 

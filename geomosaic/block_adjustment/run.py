@@ -129,10 +129,6 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     options : AdjustmentOptions
     progress : callable
 
-    Returns
-    -------
-    AdjustedBlock
-
     Raises
     ------
     InputError, SolveError

@@ -134,10 +134,6 @@ def start_block(parts: Sequence[Block]) -> StartBlock:
     ----------
     parts : sequence of Block
 
-    Returns
-    -------
-    StartBlock
-
     Raises
     ------
     InputError

@@ -29,7 +29,7 @@ def summary_lines(facts: Mapping[str, Any]) -> list[str]:
         *(_group(each) for each in facts["observations"] if each["used"] or each["rejected"]),
     ]
     groups = [*facts["wrong_groups"], *([facts["tie_scatter"]] if facts["tie_scatter"] else [])]
-    lines += [_sentence(each["text"]) for each in groups]
+    lines += [each["text"][:1].upper() + each["text"][1:] for each in groups]
     sigmas = [value for value in points["median_sigmas"] if value is not None]
     if len(sigmas) == 3:
         lines.append(
@@ -85,10 +85,6 @@ def _group(each: Mapping[str, Any]) -> str:
     factor = each["variance_factor"]
     fits = f", {math.sqrt(factor):.2f} of their standard deviations" if factor is not None else ""
     return f"  {each['name']}: {each['used']}{out}, RMS {_number(each['rms'])} {each['unit']}{fits}"
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _reliability(images: Mapping[str, Any], unit: str) -> list[str]:

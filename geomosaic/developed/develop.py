@@ -235,10 +235,6 @@ def develop(
     **options
         Of `MosaicOptions`, flat; of one image those of `RenderOptions` count.
 
-    Returns
-    -------
-    DevelopedResult
-
     Raises
     ------
     InputError

@@ -70,10 +70,6 @@ def read_surface(path: PathLike) -> SurfaceFile:
     path : path
         Keys at its top or in the one table [surface]; lengths in metres, angles in degrees.
 
-    Returns
-    -------
-    SurfaceFile
-
     Raises
     ------
     InputError

@@ -26,8 +26,7 @@ class Curve:
     def __call__(self, values: AnyArray) -> FloatArray:
         """Levels of values, not rounded."""
         # Nine decimals remove the noise of interpolation, so that exact halves are rounded the same way everywhere.
-        found: FloatArray = np.round(np.interp(values, self.values, self.levels), 9)
-        return found
+        return np.round(np.interp(values, self.values, self.levels), 9)
 
 
 def percentile_limits(values: AnyArray, low: float, high: float) -> tuple[float, float]:

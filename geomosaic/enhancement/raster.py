@@ -104,8 +104,7 @@ def pan_sharpened(model: PanModel, bands: AnyArray, pan: AnyArray) -> FloatArray
     if model.method == "brovey":
         ratio = y / np.where(np.abs(synthetic) > 1e-9, synthetic, 1.0)
         return x * np.where(np.abs(synthetic) > 1e-9, ratio, 1.0)[..., None]
-    sharp: FloatArray = x + model.gains * (y - synthetic)[..., None]
-    return sharp
+    return x + model.gains * (y - synthetic)[..., None]
 
 
 def magnified(values: AnyArray, rows: FloatArray, cols: FloatArray) -> FloatArray:

@@ -370,8 +370,7 @@ class FactoredNormals:
         """Solutions (M, places) of the reduced equations."""
         if not self.normals.pattern.iterative:
             return self._near(right)
-        found: FloatArray = np.array([self._by_conjugate_gradients(each, left) for each in right]).reshape(right.shape)
-        return found
+        return np.array([self._by_conjugate_gradients(each, left) for each in right]).reshape(right.shape)
 
     def _near(self, right: FloatArray) -> FloatArray:
         """Solutions (M, places) of the equations that are factorised: the reduced ones, or their diagonal blocks."""

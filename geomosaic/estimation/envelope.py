@@ -65,8 +65,7 @@ class Envelope:
     def diagonal(self) -> IntArray:
         """Place (M,) of each diagonal number among all."""
         row = np.arange(self.size)
-        within: IntArray = (self.offset[row // TILE + 1] - 1) * TILE**2 + row % TILE * (TILE + 1)
-        return within
+        return (self.offset[row // TILE + 1] - 1) * TILE**2 + row % TILE * (TILE + 1)
 
     def zeros(self) -> FloatArray:
         """Tiles (K, TILE, TILE) of a matrix of zeros, padded with a unit diagonal."""

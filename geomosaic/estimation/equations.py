@@ -103,20 +103,17 @@ class Equations:
             root = turned.T / np.where(singular > RANK * singular[0], singular, np.inf)
         else:
             root = turned.T * (singular / (singular**2 + damping))
-        solution: FloatArray = ((root @ (left.T @ self.misclosure)).T / length).T
-        return solution
+        return ((root @ (left.T @ self.misclosure)).T / length).T
 
     def residuals(self, step: FloatArray) -> FloatArray:
         """Weighted residuals (R,) or (R, K) of linearised equations after a step (U,) or (U, K)."""
-        left: FloatArray = self.misclosure - self.design @ step
-        return left
+        return self.misclosure - self.design @ step
 
     def parameter_cofactors(self) -> FloatArray:
         """Cofactors (AᵀA)⁻¹ (U, U) of the unknowns."""
         length, _, singular, turned = self._factors
         root = turned.T / singular
-        inverse: FloatArray = (root @ root.T) / np.outer(length, length)
-        return inverse
+        return (root @ root.T) / np.outer(length, length)
 
     def redundancy_numbers(self, observations: int, size: int = 2) -> FloatArray:
         """Redundancy numbers I − A·(AᵀA)⁻¹·Aᵀ (N, K, K) of the first N observations, of K rows each."""

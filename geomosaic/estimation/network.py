@@ -67,8 +67,7 @@ class FreeDatum:
 
     def turned(self, sides: FloatArray) -> FloatArray:
         """Right-hand sides (unknowns, ...) of which `applied` solutions are cofactors times these sides."""
-        freed: FloatArray = sides - self.constraint.T @ (self.directions.T @ sides)
-        return freed
+        return sides - self.constraint.T @ (self.directions.T @ sides)
 
     def held(self, parameters: int, lengths: FloatArray) -> IntArray:
         """Parameters that hold the datum when they are held, as many as there are directions: the most effective."""

@@ -33,8 +33,7 @@ def mean_weight(targets: FloatArray) -> FloatArray:
     """
     known = targets[np.isfinite(targets).all(axis=(1, 2))]
     rows = known.reshape(-1, targets.shape[2])
-    weight: FloatArray = rows.T @ rows / max(len(known), 1)
-    return weight
+    return rows.T @ rows / max(len(known), 1)
 
 
 def variance_decreases(covariance: FloatArray, weight: FloatArray, design: FloatArray, noise: FloatArray) -> FloatArray:

@@ -62,14 +62,12 @@ class Unknowns:
     @property
     def free(self) -> BoolArray:
         """Which unknowns (P,) are estimated."""
-        estimated: BoolArray = self.sigmas > 0.0
-        return estimated
+        return self.sigmas > 0.0
 
     @property
     def observed(self) -> BoolArray:
         """Which of the free unknowns (U,) have an a-priori value that counts as an observation."""
-        known: BoolArray = np.isfinite(self.sigmas[self.free])
-        return known
+        return np.isfinite(self.sigmas[self.free])
 
     def moved(self, values: FloatArray, step: FloatArray) -> FloatArray:
         """Values (P,) after a step (U,) of the free ones."""

@@ -186,8 +186,7 @@ def variance_factor(sigma0: float, redundancy: int) -> float:
 def _propagated(design: FloatArray, covariance: FloatArray) -> FloatArray:
     """Covariances A C Aᵀ (N, 2, 2) of positions by that (P, P) of the parameters, or by its diagonal (P,) alone."""
     weighted = design * covariance if covariance.ndim == 1 else design @ covariance
-    found: FloatArray = weighted @ design.transpose(0, 2, 1)
-    return found
+    return weighted @ design.transpose(0, 2, 1)
 
 
 def position_sigmas(design: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -273,8 +272,7 @@ def log_tail_probability(statistic: FloatArray, scale: float, freedom: float) ->
     # With two degrees of freedom above, the upper tail is (1 + T / (f s²))^(−f/2), and exp(−T / (2 s²)) where the scale
     # s is known beforehand, f = ∞.
     ratio = statistic / scale**2
-    power: FloatArray = -0.5 * ratio if np.isinf(freedom) else -0.5 * freedom * np.log1p(ratio / freedom)
-    return power
+    return -0.5 * ratio if np.isinf(freedom) else -0.5 * freedom * np.log1p(ratio / freedom)
 
 
 def log_chi_squared_tail(statistic: FloatArray, freedom: IntArray) -> FloatArray:
@@ -315,8 +313,7 @@ def biweight(deviation: FloatArray) -> FloatArray:
     ----------
     deviation : array (N,)
     """
-    weights: FloatArray = np.maximum(1.0 - deviation**2, 0.0) ** 2
-    return weights
+    return np.maximum(1.0 - deviation**2, 0.0) ** 2
 
 
 def median_variance(statistic: FloatArray, freedom: IntArray) -> float:
@@ -342,8 +339,7 @@ def tail_probability(statistic: FloatArray, scale: float, freedom: float) -> Flo
     statistic, scale, freedom
         As for `log_tail_probability`.
     """
-    probability: FloatArray = np.exp(log_tail_probability(statistic, scale, freedom))
-    return probability
+    return np.exp(log_tail_probability(statistic, scale, freedom))
 
 
 def mean_probability(errors: FloatArray) -> float:

@@ -88,5 +88,4 @@ def match_descriptors(
     found = np.flatnonzero((near[0] < FARTHEST) & (near[0] < ratio**2 * near[1].astype(np.float64)))
     partner = to_second[found]
     mutual = (to_first[partner] == found) & (back[0, partner] < ratio**2 * back[1, partner].astype(np.float64))
-    pairs: IntArray = np.stack([found[mutual], order[partner[mutual]]], axis=1)
-    return pairs
+    return np.stack([found[mutual], order[partner[mutual]]], axis=1)

@@ -77,8 +77,7 @@ class Features:
     def first_of_places(self) -> IntArray:
         """First feature (P,) of each place."""
         # Of several directions at one place any serves: scales and places are the same.
-        first: IntArray = np.unique(self.place, return_index=True)[1]
-        return first
+        return np.unique(self.place, return_index=True)[1]
 
     def frames(self, rows: IntArray) -> FloatArray:
         """Similarity transformations (K, 2, 2) from a unit patch to the image, of some features (K,).
@@ -232,8 +231,7 @@ def spread(colrow: FloatArray, strength: FloatArray, cell: float, most: int) -> 
     order = np.lexsort((-strength, number))
     starts = np.flatnonzero(np.diff(number[order], prepend=-1))
     rank = np.arange(len(order)) - np.repeat(starts, np.diff(np.append(starts, len(order))))
-    chosen: IntArray = order[np.lexsort((-strength[order], rank))][:most]
-    return chosen
+    return order[np.lexsort((-strength[order], rank))][:most]
 
 
 def _root_descriptors(values: AnyArray) -> ByteArray:

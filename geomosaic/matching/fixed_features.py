@@ -126,8 +126,7 @@ def _crowded(colrow: FloatArray, image: IntArray, reach: float, needed: int) -> 
     once = np.unique(np.column_stack([number, image]), axis=0)[:, 0]
     count = np.bincount(once, minlength=int(number.max(initial=0)) + 2 * wide + 2)
     around = sum(count[number + down * wide + across] for down in (-1, 0, 1) for across in (-1, 0, 1))
-    crowded: BoolArray = np.asarray(around) >= needed
-    return crowded
+    return np.asarray(around) >= needed
 
 
 def _all_over(colrow: FloatArray, size: IntArray) -> bool:

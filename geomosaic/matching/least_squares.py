@@ -69,10 +69,6 @@ def match_patches(
         Approximate derivatives of places in the second image by those in the first.
     farthest : float
         Pixels that a match may go from its first approximation.
-
-    Returns
-    -------
-    PatchMatches
     """
     count = len(pixels)
     place = np.ascontiguousarray(pixels, dtype=np.int64).reshape(-1, 2)
@@ -99,5 +95,4 @@ def match_patches(
 def _patch_weights(half: int) -> FloatArray:
     """Weights (2·half + 1, 2·half + 1) of a patch's pixels."""
     away = np.arange(-half, half + 1) / (half * WEIGHT_SIGMA)
-    weights: FloatArray = np.exp(-0.5 * (away[:, None] ** 2 + away[None, :] ** 2))
-    return weights
+    return np.exp(-0.5 * (away[:, None] ** 2 + away[None, :] ** 2))

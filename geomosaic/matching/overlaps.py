@@ -53,8 +53,7 @@ def pairs_of_neighbours(places: FloatArray, neighbours: int) -> IntArray:
     count = min(neighbours, len(places) - 1)
     _, near = cKDTree(places).query(places, k=count + 1)
     pairs = np.stack([np.repeat(np.arange(len(places)), count + 1), near.ravel()], axis=1)
-    once: IntArray = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
-    return once
+    return np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
 
 
 def pairs_of_outlines(outlines: Sequence[Polygon], neighbours: int) -> IntArray:
@@ -107,8 +106,7 @@ def similar_pairs(features: Sequence[Features], count_similar: int) -> IntArray:
         np.fill_diagonal(apart[:, first:], np.inf)
         nearest[first : first + BLOCK] = np.argpartition(apart, count - 1, axis=1)[:, :count]
     pairs = some[np.stack([np.repeat(np.arange(len(some)), count), nearest.ravel()], axis=1)]
-    once: IntArray = np.unique(np.sort(pairs, axis=1), axis=0)
-    return once
+    return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
 def _described(features: Sequence[Features]) -> Float32Array:

@@ -103,8 +103,7 @@ class _RayPairs:
 
     def among(self, rays: BoolArray) -> BoolArray:
         """Pairs whose rays are both among some."""
-        both: BoolArray = rays[self.one] & rays[self.other]
-        return both
+        return rays[self.one] & rays[self.other]
 
     def sums(self, values: IntArray | BoolArray) -> FloatArray:
         """Sum for each ray of the values of its pairs."""
@@ -130,8 +129,7 @@ def agreement_with_neighbours(one: FloatArray, other: FloatArray) -> IntArray:
     off = np.linalg.norm(other - expected, axis=1)
     tolerance = np.maximum(NEAR, FAR * scatter * np.sqrt(1.0 + leverage))
     silent = (leverage > LARGEST_LEVERAGE) | (tolerance > LARGEST_TOLERANCE)
-    vote: IntArray = np.where(off < tolerance, np.where(silent, 0, 1), -1)
-    return vote
+    return np.where(off < tolerance, np.where(silent, 0, 1), -1)
 
 
 def off_epipolar_lines(one: FloatArray, other: FloatArray) -> BoolArray:
@@ -149,8 +147,7 @@ def off_epipolar_lines(one: FloatArray, other: FloatArray) -> BoolArray:
     distance = _epipolar_distances(one, other)[:, None]
     expected, scatter, leverage = _local_regression(one, distance, AROUND_LINE)
     off = np.abs(distance - expected)[:, 0]
-    found: BoolArray = off > np.maximum(NEAR_LINE, FAR_LINE * 1.4826 * scatter * np.sqrt(1.0 + leverage))
-    return found
+    return off > np.maximum(NEAR_LINE, FAR_LINE * 1.4826 * scatter * np.sqrt(1.0 + leverage))
 
 
 def _epipolar_distances(one: FloatArray, other: FloatArray) -> FloatArray:

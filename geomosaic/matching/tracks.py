@@ -67,8 +67,7 @@ class Tracks:
         )
         common = sparse.triu(shown @ shown.T, 1).tocoo()
         order = np.lexsort((common.col, common.row))
-        found: IntArray = np.stack([common.row, common.col, common.data], axis=1)[order].astype(np.int64)
-        return found
+        return np.stack([common.row, common.col, common.data], axis=1)[order].astype(np.int64)
 
     def select(self, rows: BoolArray | IntArray) -> Tracks:
         """Some of them, points numbered anew; those of fewer than two rays are dropped."""
@@ -89,10 +88,6 @@ def join(pairs: Sequence[PairMatches], places: Sequence[int]) -> Tracks:
     pairs : sequence of PairMatches
     places : sequence of int
         Number of places of each image.
-
-    Returns
-    -------
-    Tracks
     """
     offset = np.concatenate([[0], np.cumsum(places)]).astype(np.int64)
     total = int(offset[-1])

@@ -84,10 +84,6 @@ def agreeing(first: Features, second: Features, matches: IntArray, tolerance: fl
         Indices of features of the first and the second image.
     tolerance : float
         Pixels from the epipolar line.
-
-    Returns
-    -------
-    Pair or None
     """
     if len(matches) < LEAST_MATCHES:
         return None
@@ -172,8 +168,7 @@ def large_features(features: Features, count: int) -> IntArray:
     -------
     int array (N,)
     """
-    largest: IntArray = np.argsort(-features.scale, kind="stable")[:count]
-    return largest
+    return np.argsort(-features.scale, kind="stable")[:count]
 
 
 def distinct(first: Features, second: Features, pairs: IntArray) -> IntArray:
@@ -191,8 +186,7 @@ def distinct(first: Features, second: Features, pairs: IntArray) -> IntArray:
     """
     places = np.stack([first.place[pairs[:, 0]], second.place[pairs[:, 1]]], axis=1)
     _, once = np.unique(places, axis=0, return_index=True)
-    found: IntArray = pairs[np.sort(once)]
-    return found
+    return pairs[np.sort(once)]
 
 
 def far_from_neighbours(one: FloatArray, other: FloatArray, reach: float) -> BoolArray:
@@ -252,8 +246,7 @@ def _affine(one: FloatArray, other: FloatArray) -> FloatArray:
     area = np.abs(np.linalg.det(base))
     wide = area > 0.5 * np.median(area)
     every = np.linalg.solve(base[wide], image[wide]).transpose(0, 2, 1)
-    affine: FloatArray = np.median(every, axis=0)
-    return affine
+    return np.median(every, axis=0)
 
 
 def epipolar_lines(fundamental: FloatArray, colrow: FloatArray) -> FloatArray:

@@ -111,8 +111,7 @@ class View:
     def within(self, image: FloatArray, margin: float = 0.0) -> BoolArray:
         """Mask (N,) of image points (N, 2) within the frame, enlarged by a margin in pixels."""
         near = (image >= -margin) & (image <= np.array(self.model.size) + margin)
-        inside: BoolArray = np.asarray(near.all(axis=1))
-        return inside
+        return np.asarray(near.all(axis=1))
 
     def _hidden(self, ground: FloatArray, image: FloatArray) -> BoolArray:
         assert self.surface is not None

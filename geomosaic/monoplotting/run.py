@@ -164,10 +164,6 @@ def locate(
     **options
         Of `LocateOptions`: `dst_crs`, `sigma_px`, `sigma_dem`, `sigmas`, `rows`, ...
 
-    Returns
-    -------
-    Located
-
     Raises
     ------
     InputError, SolveError, OutputError
@@ -364,10 +360,6 @@ def draw_vectors(
         Replace an existing file.
     **options
         Of `DrawOptions`: `src_crs`, `layer`, `rows`, `mark_hidden`, ...
-
-    Returns
-    -------
-    DrawnVectors
 
     Raises
     ------

@@ -132,10 +132,6 @@ def solve_colour_model(
         Start values: corrected = gain · value + offset, without fields.
     linear : collection of int
         Images whose gamma is 1.
-
-    Returns
-    -------
-    ColourModel
     """
     bands, terms = views.a.shape[2], setting.terms & set(bases.SHARED)
     sides = []

@@ -90,10 +90,6 @@ def solve_gain_offset(images: int, bands: int, overlaps: Sequence[Overlap], *, h
     hold : bool
         Bound the drift along strips, see `overlaps.neighbourhoods`.
 
-    Returns
-    -------
-    Balance
-
     Raises
     ------
     SolveError
@@ -321,10 +317,6 @@ def standardised_major_axis(a: AnyArray, b: AnyArray) -> MajorAxis:
     ----------
     a, b : array (N, bands)
         Values of the same places, finite; N at least 1.
-
-    Returns
-    -------
-    MajorAxis
     """
     # Its slope is the ratio of the spreads, s_b / s_a; exchanging the views changes nothing but its sign as a
     # logarithm.

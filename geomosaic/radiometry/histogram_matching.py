@@ -123,10 +123,6 @@ def match_sequence(pieces: Sequence[Thumbnail], master: Thumbnail, first: int) -
         The first of the pieces, or another image, which the first is matched to.
     first : int
         Number of the first piece.
-
-    Returns
-    -------
-    list of ToneCurve
     """
     bands = master.values.shape[2]
     curves = [ToneCurve.identity(bands) for _ in pieces]

@@ -362,10 +362,6 @@ def mean_sigma(near: list[IntArray], level: FloatArray) -> float:
         Neighbourhoods, at least one.
     level : array (images,)
         Corrections solved without these observations, as logarithms of gains.
-
-    Returns
-    -------
-    float
     """
     departures = np.concatenate([level[group] - level[group].mean() for group in near])
     # Median absolute deviation: single photos of another exposure are no spread.

@@ -70,10 +70,6 @@ def radiometric_change(
         Gains of the corrections on the whole.
     ends : (float, float), optional
         Ends of the range of whole numbers, to which corrected values are rounded and clipped.
-
-    Returns
-    -------
-    RadiometricChange
     """
     spread = _percent(np.log(np.maximum(gain, 1e-6)).std(axis=0).max(initial=0.0))
     if not len(places):

@@ -91,10 +91,6 @@ def registration(a: AnyArray, b: AnyArray, seen: BoolArray) -> Registration:
         Values of the views; their means over the bands are compared.
     seen : bool array (rows, cols)
         Cells valid in both.
-
-    Returns
-    -------
-    Registration
     """
     rows, cols = np.nonzero(seen)
     box = _middle(rows), _middle(cols)

@@ -275,8 +275,7 @@ def _within_tolerance(
         sides = sides[bad[sides] | bad[sides + 1]]  # the others stay as they are
         weight[bad] = np.where(weight[bad] > 0.2, 0.5 * weight[bad], 0.0)
     weight[np.isin(lines.line, np.unique(lines.line[bad]))] = 0.0
-    held: FloatArray = start + weight[:, None] * (points - start)
-    return held
+    return start + weight[:, None] * (points - start)
 
 
 def _densified(nodes: FloatArray, step: float) -> FloatArray:
@@ -307,8 +306,7 @@ def _onto_level(values: AnyArray, points: FloatArray, lines: _Lines, tolerance: 
         good[lines.first] = good[lines.last] = False
         moved = np.where(good[:, None], points + shift, points)
         better = np.abs(bilinear_at(values, *moved.T) - lines.level) < np.abs(miss)
-    out: FloatArray = np.where(better[:, None], moved, points)
-    return out
+    return np.where(better[:, None], moved, points)
 
 
 def _averaged(points: FloatArray, lines: _Lines) -> FloatArray:

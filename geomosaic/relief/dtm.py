@@ -118,10 +118,6 @@ def dtm(output: PathLike, *, overwrite: bool = False, **options: Any) -> DtmResu
     **options
         Of `DtmOptions`: `contours`, `points`, `breaklines`, `water`, `resolution` or `map_scale`, ...
 
-    Returns
-    -------
-    DtmResult
-
     Raises
     ------
     InputError, OutputExistsError, OutputError

@@ -45,8 +45,7 @@ def prominences(values: AnyArray) -> FloatArray:
     for step in (-cols - 1, -cols, -cols + 1, -1, 1, cols - 1, cols, cols + 1):
         inner[inner] &= np.isfinite(heights[tops[inner] + step])
     found[tops[~inner]] = 0.0
-    out: FloatArray = found.reshape(rows, cols)
-    return out
+    return found.reshape(rows, cols)
 
 
 @dataclass(frozen=True)

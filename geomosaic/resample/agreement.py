@@ -71,10 +71,6 @@ def mismatch_of(moments: Float32Array, known: Float32Array, level: FloatArray, l
         Grey value that brightness is counted from, as in `compare`.
     least : float
         Difference that always counts as usual: rounding.
-
-    Returns
-    -------
-    Mismatch or None
     """
     some = known > 0
     if not some.any():
@@ -111,8 +107,7 @@ def mismatch_of(moments: Float32Array, known: Float32Array, level: FloatArray, l
 def _means(values: Float32Array, weight: Float32Array) -> Float32Array:
     total, sums = descend(values * weight, LEVELS)[-1], descend(weight, LEVELS)[-1]
     local = total / np.maximum(sums, np.float32(1e-6))
-    found: Float32Array = ascend(filled(local, np.minimum(4 * sums, np.float32(1)), MORE), LEVELS)
-    return found
+    return ascend(filled(local, np.minimum(4 * sums, np.float32(1)), MORE), LEVELS)
 
 
 def box_of(cells: ByteArray) -> tuple[tuple[int, int], tuple[int, int]]:

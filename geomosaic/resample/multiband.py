@@ -100,10 +100,6 @@ def within(outer: slice, inner: slice) -> slice:
     ----------
     outer, inner : slice
         With start and stop.
-
-    Returns
-    -------
-    slice
     """
     return slice(inner.start - outer.start, inner.stop - outer.start)
 

@@ -64,8 +64,7 @@ class _Clearance:
 
     def __call__(self, rays: IntArray, t: FloatArray) -> FloatArray:
         place = self.place(rays, t)
-        height: FloatArray = place[:, 2] - self.surface.height(place[:, :2])
-        return height
+        return place[:, 2] - self.surface.height(place[:, :2])
 
 
 def _distances(surface: Surface, to_surface: Transform, origins: FloatArray, directions: FloatArray) -> FloatArray:

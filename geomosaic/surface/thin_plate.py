@@ -103,10 +103,6 @@ def solve_plate(observed: Heights, folds: Folds, held: FloatArray, drawn: FloatA
         Heights of nodes that are given, metres; NaN elsewhere.
     drawn, pull : array (rows, cols)
         Heights that nodes are drawn to, and the weight of each; besides, all are drawn faintly.
-
-    Returns
-    -------
-    Plate
     """
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu

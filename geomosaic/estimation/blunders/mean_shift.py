@@ -171,8 +171,7 @@ class MeanShifts:
             chosen = np.array(taken, dtype=np.int64)
             columns = self._columns[:, (2 * chosen[:, None] + [0, 1]).ravel()]
             right = right - columns @ at.shifts[chosen].ravel()
-        solved: FloatArray = n.solve(n.design.T @ right)[: n.parameters]
-        return solved
+        return n.solve(n.design.T @ right)[: n.parameters]
 
     @property
     def share(self) -> FloatArray:

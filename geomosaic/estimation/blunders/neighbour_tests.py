@@ -143,8 +143,7 @@ def _solve(places: FloatArray, image: FloatArray) -> FloatArray:
     right = np.concatenate([image[:, :, 0], image[:, :, 1]], axis=1)
     # A trace of damping keeps samples in line solvable; they drop out by their errors.
     normal = np.einsum("ski,skj->sij", design, design) + 1e-12 * np.eye(8)
-    solved: FloatArray = np.linalg.solve(normal, np.einsum("ski,sk->si", design, right)[:, :, None])[:, :, 0]
-    return solved
+    return np.linalg.solve(normal, np.einsum("ski,sk->si", design, right)[:, :, None])[:, :, 0]
 
 
 def _apply(coefficients: FloatArray, places: FloatArray) -> FloatArray:
@@ -153,8 +152,7 @@ def _apply(coefficients: FloatArray, places: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         image = np.stack([coefficients[:, :3] @ plane.T, coefficients[:, 3:6] @ plane.T], axis=2) / below[:, :, None]
     # Near the vanishing line, where the denominator is 0, places run off to infinity.
-    found: FloatArray = np.where(below[:, :, None] > 0.05, image, np.nan)
-    return found
+    return np.where(below[:, :, None] > 0.05, image, np.nan)
 
 
 NEIGHBOURS = 8
@@ -361,8 +359,7 @@ def explained_by_distortion(ground: AnyArray, colrow: AnyArray, suspected: BoolA
             break
         kept = kept.copy()
         kept[agree] = True
-    found: BoolArray = kept & suspected
-    return found
+    return kept & suspected
 
 
 def _agrees(places: FloatArray, image: FloatArray, kept: BoolArray, index: int) -> bool:

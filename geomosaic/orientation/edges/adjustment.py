@@ -94,8 +94,7 @@ class Stations:
     def shared(self) -> BoolArray:
         """Which stations (S,) are measured in more than one photo."""
         counts: IntArray = np.bincount(self.station, minlength=len(self.ids))
-        several: BoolArray = counts > 1
-        return several
+        return counts > 1
 
     @classmethod
     def of(

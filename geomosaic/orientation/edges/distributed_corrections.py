@@ -115,8 +115,7 @@ def _empty(low: FloatArray, high: FloatArray, spacing: float) -> CorrectionGrid:
 def _node_places(grid: CorrectionGrid) -> FloatArray:
     rows, columns, _ = grid.nodes.shape
     c, r = np.meshgrid(np.arange(columns), np.arange(rows))
-    places: FloatArray = grid.origin + np.column_stack([c.ravel(), r.ravel()]) * grid.spacing
-    return places
+    return grid.origin + np.column_stack([c.ravel(), r.ravel()]) * grid.spacing
 
 
 def _filled(grid: CorrectionGrid, nodes: FloatArray) -> CorrectionGrid:

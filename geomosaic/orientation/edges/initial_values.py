@@ -135,8 +135,7 @@ class Misfit:
     @property
     def lengths(self) -> FloatArray:
         """Lengths (M,) in pixels of the first photo; NaN where a photo has no place of its own."""
-        length: FloatArray = np.hypot(self.pixels[:, 0], self.pixels[:, 1])
-        return length
+        return np.hypot(self.pixels[:, 0], self.pixels[:, 1])
 
     @property
     def rms(self) -> float:

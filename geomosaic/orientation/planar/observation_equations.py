@@ -197,8 +197,7 @@ class PlanarProblem:
 
     def of_views(self, values: FloatArray) -> FloatArray:
         """Parameters (N, P) of the photo of each view in a photo."""
-        own: FloatArray = values[self.views.photo[self.in_photo]]
-        return own
+        return values[self.views.photo[self.in_photo]]
 
     def positions(self, values: FloatArray, at: FloatArray) -> FloatArray:
         """Normalised ground (N, 2) of all views, linearised in the image about `at` (N, 2)."""
@@ -259,8 +258,7 @@ class PlanarProblem:
     def misclosure(self, values: FloatArray, at: FloatArray) -> FloatArray:
         """Differences (M, 2) of the positions of each pair, normalised."""
         place = self.positions(values, at)
-        gap: FloatArray = place[self.views.pairs[:, 0]] - place[self.views.pairs[:, 1]]
-        return gap
+        return place[self.views.pairs[:, 0]] - place[self.views.pairs[:, 1]]
 
     def moved(self, values: FloatArray, step: FloatArray) -> FloatArray:
         """Parameters (K, P) after a step (U,)."""

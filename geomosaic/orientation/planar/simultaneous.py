@@ -152,8 +152,7 @@ def missing_terms(kind: str, xy: FloatArray) -> FloatArray:
     terms = {"projective": [np.zeros((2, 0, len(x)))], "affine": [perspective], "conformal": [perspective, scales]}[
         kind
     ]
-    moved: FloatArray = np.moveaxis(np.concatenate(terms, axis=1), -1, 0)
-    return moved
+    return np.moveaxis(np.concatenate(terms, axis=1), -1, 0)
 
 
 # Movements are those of measured points, pixels. Near the solution the sum of squares may rise by a hair from round to

@@ -191,14 +191,12 @@ class PlanarSolution:
     def sigmas(self, photo: str) -> FloatArray:
         """A-priori standard deviations (P,) of a photo's `values`."""
         number = self.block.index[photo]
-        spread: FloatArray = np.sqrt(np.diag(self.cofactors[number, number]))
-        return spread
+        return np.sqrt(np.diag(self.cofactors[number, number]))
 
     def covariance(self, photo: str) -> FloatArray:
         """Covariance (P, P) of a photo's `values`, by the standard deviation of unit weight where it is known."""
         number = self.block.index[photo]
-        own: FloatArray = variance_factor(self.sigma0, self.redundancy) * self.cofactors[number, number]
-        return own
+        return variance_factor(self.sigma0, self.redundancy) * self.cofactors[number, number]
 
     def position_sigmas(self, photo: str, colrow: FloatArray) -> FloatArray:
         """A-priori standard deviations (N,) in map units of where image places (N, 2) lie: √((σX² + σY²)/2)."""

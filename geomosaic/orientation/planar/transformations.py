@@ -89,8 +89,7 @@ def by_photo(kind: str, values: FloatArray, xy: FloatArray) -> FloatArray:
     if kind == "affine":
         return linear
     w = _denominator(p.T, xy[:, 0], xy[:, 1])
-    slope: FloatArray = (linear - forward(kind, values, xy)[:, :, None] * p[:, None, 6:]) / w[:, None, None]
-    return slope
+    return (linear - forward(kind, values, xy)[:, :, None] * p[:, None, 6:]) / w[:, None, None]
 
 
 def pixel_sizes(slope: FloatArray) -> FloatArray:
@@ -174,14 +173,12 @@ def from_matrix(kind: str, homogeneous: FloatArray) -> FloatArray:
     h = homogeneous / homogeneous[2, 2]
     if kind == "conformal":
         return np.array([h[0, 0], h[1, 0], h[0, 2], h[1, 2]])
-    flat: FloatArray = np.concatenate([h[0], h[1], h[2, :2]])[: len(NAMES[kind])]
-    return flat
+    return np.concatenate([h[0], h[1], h[2, :2]])[: len(NAMES[kind])]
 
 
 def _denominator(p: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     w = p[6] * x + p[7] * y + 1.0
-    seen: FloatArray = np.where(w > 0.0, w, np.nan)
-    return seen
+    return np.where(w > 0.0, w, np.nan)
 
 
 @dataclass(frozen=True)
@@ -202,13 +199,11 @@ class Frame:
 
     def normal(self, ground: FloatArray) -> FloatArray:
         """Map (N, 2) to normalised (N, 2)."""
-        uv: FloatArray = (np.asarray(ground, dtype=np.float64) - [self.x0, self.y0]) / self.scale
-        return uv
+        return (np.asarray(ground, dtype=np.float64) - [self.x0, self.y0]) / self.scale
 
     def map(self, normal: FloatArray) -> FloatArray:
         """Normalised (N, 2) to map (N, 2)."""
-        xy: FloatArray = normal * self.scale + [self.x0, self.y0]
-        return xy
+        return normal * self.scale + [self.x0, self.y0]
 
 
 def half(size: tuple[int, int]) -> float:
@@ -283,8 +278,7 @@ class PlanarTransform:
     def matrix(self) -> FloatArray:
         """Homogeneous matrix (3, 3) of (col, row) → map."""
         s, x0, y0 = self.frame.scale, self.frame.x0, self.frame.y0
-        whole: FloatArray = np.array([[s, 0.0, x0], [0.0, s, y0], [0.0, 0.0, 1.0]]) @ self._from_pixels
-        return whole
+        return np.array([[s, 0.0, x0], [0.0, s, y0], [0.0, 0.0, 1.0]]) @ self._from_pixels
 
     @property
     def _from_pixels(self) -> FloatArray:

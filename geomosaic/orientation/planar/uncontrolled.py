@@ -339,8 +339,7 @@ def _apply(transform: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def _complex(xy: FloatArray) -> FloatArray:
-    z: FloatArray = xy[:, 0] + 1j * xy[:, 1]
-    return z
+    return xy[:, 0] + 1j * xy[:, 1]
 
 
 def _rms(lengths: FloatArray) -> float:

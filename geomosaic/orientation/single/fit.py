@@ -326,8 +326,7 @@ class ControlAdjustment(ControlProblem):
         equations = Equations(design[selection].reshape(-1, design.shape[2]), errors[selection].ravel())
         if not equations.determined:
             raise SolveError("the points chosen do not determine the model", hint="choose more of them")
-        found: FloatArray = (errors - design @ equations.step()) * self.sigma[:, None]
-        return found
+        return (errors - design @ equations.step()) * self.sigma[:, None]
 
     def subset(self, kept: AnyArray) -> ControlAdjustment:
         """Problem of some of the points (bool (N,) or int (K,))."""

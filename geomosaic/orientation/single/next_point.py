@@ -226,10 +226,6 @@ def expected_accuracy(
     missing : int
         Points without which the parameters are not determined, see `missing_points`: these are chosen as a set.
 
-    Returns
-    -------
-    NextPoints
-
     Raises
     ------
     SolveError

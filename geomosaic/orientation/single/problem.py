@@ -185,8 +185,7 @@ def image_by_map(model: SensorModel, xyz: FloatArray) -> FloatArray:
     """
     by_ground = ground_jacobian(model, xyz)
     if not model.crs.is_geocentric:
-        flat: FloatArray = by_ground[:, :, :2]
-        return flat
+        return by_ground[:, :, :2]
     places = Transform(model.crs, geographic(model.crs))(xyz)
     axes = np.array([enu_axes(longitude, latitude)[:2] for longitude, latitude, _ in places])
     level: FloatArray = np.einsum("nij,nkj->nik", by_ground, axes.reshape(-1, 2, 3))

@@ -243,8 +243,7 @@ class Ellipsoid:
         if self.projection == "dome-equidistant":
             return arc(np.array(np.pi / 2), a, c) - arc(latitude, a, c)
         left = np.maximum(area(np.array(1.0), a, c) - area(np.sin(latitude), a, c), 0.0)
-        radius: FloatArray = np.sqrt(2.0 * a * left)
-        return radius
+        return np.sqrt(2.0 * a * left)
 
     def _latitude(self, p: FloatArray, z: FloatArray) -> FloatArray:
         """Parametric latitude of the feet of points, by Newton's method on the distance from the meridian."""

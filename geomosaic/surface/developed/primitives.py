@@ -158,8 +158,7 @@ def unit(vector: FloatArray, name: str, where: str) -> FloatArray:
         raise InputError(
             f"{name} = {given.tolist()} is no direction", where=where, hint="give three numbers, not all 0"
         )
-    direction: FloatArray = given / length
-    return direction
+    return given / length
 
 
 def _beside(

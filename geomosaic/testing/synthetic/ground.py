@@ -119,8 +119,7 @@ def houses(
 
 def _box(x: Float32Array, y: Float32Array, half_x: Float32Array, half_y: Float32Array, edge: float) -> Float32Array:
     """Soft rectangle around the origin."""
-    box: Float32Array = soft(half_x - np.abs(x), edge) * soft(half_y - np.abs(y), edge)
-    return box
+    return soft(half_x - np.abs(x), edge) * soft(half_y - np.abs(y), edge)
 
 
 SUN = (0.64, -0.77)  # mid-morning sun in the south-east: unit vector in (u, v)
@@ -299,8 +298,7 @@ class Land:
 
 def _lay(under: Float32Array, mask: Float32Array, over: AnyArray | Sequence[float]) -> Float32Array:
     """Colours with others (4,) or (N, 4) laid over them (N, 4) where the mask (N,) is 1."""
-    laid: Float32Array = under + mask[:, None] * (np.asarray(over, dtype=np.float32) - under)
-    return laid
+    return under + mask[:, None] * (np.asarray(over, dtype=np.float32) - under)
 
 
 CHUNK = 1 << 15  # points at a time: what a core's cache holds

@@ -221,8 +221,7 @@ def _hashed(rows: IntArray, cols: IntArray, key: tuple[int, ...]) -> Float32Arra
     """Numbers −0.5 to 0.5 of nodes (R, C)."""
     salt = np.random.default_rng(key).integers(0, 2**32, 2, dtype=np.uint32)
     mixed = _mixed(_mixed(rows.astype(np.uint32) ^ salt[0])[:, None] ^ _mixed(cols.astype(np.uint32) ^ salt[1]))
-    numbers: Float32Array = mixed.astype(np.float32) / np.float32(2**32) - np.float32(0.5)
-    return numbers
+    return mixed.astype(np.float32) / np.float32(2**32) - np.float32(0.5)
 
 
 def _mixed(bits: AnyArray) -> AnyArray:
@@ -256,10 +255,6 @@ def mixed_block(
     tilt : float
         Largest angle from the vertical, degrees.
     seed : int
-
-    Returns
-    -------
-    list of SyntheticPhoto
     """
     photos, width = [], camera["size"][0]
     for number, (strips, each) in enumerate(layers):
