@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from geomosaic.errors import counted
 from geomosaic.whole_files import finite
 
 if TYPE_CHECKING:
@@ -102,8 +103,6 @@ def _geometry_text(result: OrthoResult | MosaicResult, seconds: float) -> str:
 
 def _placement_lines(facts: Mapping[str, Any]) -> list[str]:
     """Placement by tie and control points in words: how, how well, and what the points show of it."""
-    from geomosaic.errors import counted
-
     own = facts.get("adjusted") or facts.get("planar") or facts
     lines, accuracy = list(own.get("summary", ())), facts.get("accuracy")
     measured = facts["control"] if isinstance(facts.get("control"), list) else None
@@ -242,7 +241,6 @@ def mosaic_text(result: MosaicResult) -> str:
     ----------
     result : MosaicResult
     """
-    from geomosaic.errors import counted
     from geomosaic.mosaicking.colour.corrections import term_notes
 
     lines = [
@@ -269,7 +267,6 @@ def mosaic_text(result: MosaicResult) -> str:
 
 def _colour_text(overlaps: int, before: float, after: float) -> str:
     """Effect of the colour balance in words, with the decimals that the values ask for."""
-    from geomosaic.errors import counted
     from geomosaic.report.page import decimals
 
     digits = decimals(before, 2)

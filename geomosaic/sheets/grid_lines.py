@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from pyproj import CRS
 
 from geomosaic.errors import InputError
@@ -194,8 +195,6 @@ def _clipped_to_map(
     axis: int, value: float, path: FloatArray, bounds: Bounds, pole: FloatArray | None
 ) -> GridLine | None:
     """Part of a line inside the neatline; None where nothing is, or where it coincides with a side."""
-    import shapely
-
     hair = _COINCIDENT * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
     sides = zip((0, 1, 0, 1), bounds, strict=True)
     if len(path) < 2 or any(np.abs(path[:, k] - side).max() < hair for k, side in sides):

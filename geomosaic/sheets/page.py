@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import shapely
 from pyproj import CRS
 
 from geomosaic.errors import InputError
@@ -99,9 +100,7 @@ class Page:
     @property
     def outline_area(self) -> Any:
         """The same as a shapely Polygon."""
-        from shapely import Polygon
-
-        return None if self.outline is None else Polygon(self.outline_mm)
+        return None if self.outline is None else shapely.Polygon(self.outline_mm)
 
     def to_map(self, mm: FloatArray) -> FloatArray:
         """Millimetres on the page (N, 2) to map coordinates (N, 2)."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from pyproj import CRS
 
 from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
@@ -93,8 +94,6 @@ def to_map(geometries: AnyArray, crs: CRS, map_crs: CRS, bounds: Bounds, straigh
         In units of `map_crs`: long sides are divided first, so that they bend as the map does, into pieces of about
         this length.
     """
-    import shapely
-
     shapes = shapely.force_2d(geometries)
     flat, target = horizontal(crs), horizontal(map_crs)
     if not flat.equals(target, ignore_axis_order=True):
@@ -150,8 +149,6 @@ def overlay(
     InputError
         A column that the style names is missing or has no numbers.
     """
-    import shapely
-
     notes = []
     shapes = np.array(list(geometries), dtype=object)
     cut = to_map(shapes, crs, page.crs, page.bounds, 2.0 / page.mm_per_unit) if len(shapes) else shapes
@@ -302,8 +299,6 @@ def parts_of(geometries: Sequence[Any], kind: str) -> list[Any]:
     geometries : sequence of shapely geometry
     kind : str
     """
-    import shapely
-
     names = {"polygon": ("Polygon",), "line": ("LineString", "LinearRing"), "point": ("Point",)}[kind]
     found: list[Any] = []
     for geometry in geometries:

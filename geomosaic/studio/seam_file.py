@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import shapely
 from pyproj import CRS
 
 from geomosaic.errors import InputError
@@ -134,8 +135,6 @@ class SeamFile:
 
     def _drawn(self) -> SeamFile | None:
         """The same with the shares that were drawn; None where these are not all, or lie in a file of another kind."""
-        import shapely
-
         path = self.project.options.seamlines.cutlines
         if path is None or path.suffix.lower() != ".gpkg" or not path.is_file():
             return None
@@ -254,8 +253,6 @@ class SeamEdit:
 
 def _by_image(names: Sequence[str], images: Sequence[Any], shapes: Sequence[Any], step: float) -> tuple[Any, ...]:
     """Canonical share of each image; rows of one image are joined."""
-    import shapely
-
     own: dict[str, list[Any]] = {}
     for image, shape in zip(images, shapes, strict=True):
         own.setdefault(str(image), []).append(shapely.force_2d(shape))
@@ -263,15 +260,11 @@ def _by_image(names: Sequence[str], images: Sequence[Any], shapes: Sequence[Any]
 
 
 def _many(share: Any) -> Any:
-    import shapely
-
     return shapely.MultiPolygon([share]) if share.geom_type == "Polygon" else share
 
 
 def _rows_of(share: Any, kind: str) -> list[Any]:
     """Share as the geometries of its rows: parts alone in a layer of single polygons."""
-    import shapely
-
     if share.is_empty:
         return []
     return list(shapely.get_parts(share)) if kind == "POLYGON" else [_many(share)]

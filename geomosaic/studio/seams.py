@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.units import axis_unit
@@ -83,8 +84,6 @@ class SeamDesk:
         ------
         InputError
         """
-        import shapely
-
         file = self._file()
         area = _area(values) if "area" in values else shapely.Point(_places(values, "place", 1)[0])
         middle = np.array(area.centroid.coords[0])
@@ -264,14 +263,10 @@ def _places(values: Mapping[str, Any], name: str, least: int) -> np.ndarray[Any,
 
 
 def _line(values: Mapping[str, Any]) -> Any:
-    import shapely
-
     return shapely.LineString(_places(values, "line", 2))
 
 
 def _area(values: Mapping[str, Any]) -> Any:
-    import shapely
-
     area = shapely.Polygon(_places(values, "area", 3))
     if not area.is_valid or area.area <= 0:
         raise InputError("the outline of the area crosses itself", hint="draw it again, without crossing lines")

@@ -12,6 +12,7 @@ import click
 
 from geomosaic.cli.options import FILE, options_of, running_options, stack
 from geomosaic.cli.output import answer, notes, say
+from geomosaic.errors import QualityError
 from geomosaic.options.control import CheckOptions, FitOptions
 
 
@@ -45,7 +46,6 @@ def command(raster: Path, points: Path, as_json: bool, options: dict[str, Any], 
     from geomosaic.accuracy.check_points import LIMIT
     from geomosaic.accuracy.product_check import check
     from geomosaic.cli.measured_results import check_facts, check_text
-    from geomosaic.errors import QualityError
 
     with notes():
         found = check(raster, points, **policy, **options)

@@ -12,6 +12,7 @@ import click
 
 from geomosaic.cli.options import FILE, dem_heights_option, file_options, options_of
 from geomosaic.cli.output import answer, notes
+from geomosaic.errors import counted
 from geomosaic.options.sheet import ContourOptions
 
 
@@ -38,7 +39,6 @@ def command(
     """
     from dataclasses import asdict
 
-    from geomosaic.errors import counted
     from geomosaic.relief.contours import contours
 
     with notes():

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.options import file_options, options_of
 from geomosaic.cli.output import answer, notes
+from geomosaic.errors import counted, listed
 from geomosaic.options.terrain import DtmOptions
 
 if TYPE_CHECKING:
@@ -40,7 +41,6 @@ def command(output: Path, overwrite: bool, as_json: bool, options: dict[str, Any
 
 def _text(made: DtmResult) -> str:
     from geomosaic.cli.results import size_text
-    from geomosaic.errors import counted, listed
 
     facts = made.facts
     low, high = made.range

@@ -14,6 +14,7 @@ import click
 from geomosaic.cli.options import FILE, file_options, options_of
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes
+from geomosaic.errors import counted
 from geomosaic.options.vector_edges import VectorEdgeOptions
 
 
@@ -31,7 +32,6 @@ def command(sheets: tuple[Path, ...], output: Path, overwrite: bool, as_json: bo
     Example:
       geomosaic edgematch north.gpkg south.gpkg --tolerance 2 --same kind -o joined.gpkg
     """
-    from geomosaic.errors import counted
     from geomosaic.products.vector_edges import match_vector_edges
 
     with notes():

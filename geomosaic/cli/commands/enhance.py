@@ -13,6 +13,7 @@ import click
 from geomosaic.cli.options import FILE, options_of, output_option, running_options
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes
+from geomosaic.errors import InputError
 from geomosaic.options.render import RenderOptions
 from geomosaic.options.sheet import PAN_METHODS, EnhanceOptions, PanOptions
 
@@ -44,7 +45,6 @@ def command(
       geomosaic enhance xs.tif --pan pan.tif --method regression -o sharp.tif
     """
     from geomosaic.enhancement.raster import enhance, pan_sharpen
-    from geomosaic.errors import InputError
 
     with notes():
         if panned.pan is not None:

@@ -13,6 +13,7 @@ import click
 from geomosaic.cli.options import FILE, block_of, image_options, options_of, overwrite_option, running_options, stack
 from geomosaic.cli.output import answer, notes
 from geomosaic.cli.values import Number
+from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.control import DrawOptions, LocateOptions, PixelOptions
 from geomosaic.options.declaration import declared
 
@@ -96,7 +97,6 @@ def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:
         return block_of((image,), inputs)
     if inputs:
         raise click.UsageError("the project file says the inputs: leave out the options of the sensor and the ground")
-    from geomosaic.errors import InputError, did_you_mean
     from geomosaic.inputs.tables import find_by_name
     from geomosaic.project.load import load_project
     from geomosaic.project.scenes import project_scene

@@ -22,6 +22,7 @@ from geomosaic.cli.results import (
     quality_facts,
     verdict,
 )
+from geomosaic.errors import InputError
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 
@@ -48,7 +49,6 @@ def command(
     tie and control points place them. Control points of images of another sensor orient or correct them, where it can
     be; the mosaic says how well it is placed.
     """
-    from geomosaic.errors import InputError
     from geomosaic.inputs.declarations import leave_out
     from geomosaic.mosaicking.outputs import rasters_of_earlier_run
     from geomosaic.products.mosaics import mosaic

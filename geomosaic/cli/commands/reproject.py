@@ -14,6 +14,7 @@ from geomosaic.cli.options import FILE, options_of, output_option, running_optio
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.results import ortho_facts, ortho_text
+from geomosaic.errors import counted
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import RenderOptions
 
@@ -55,8 +56,6 @@ def command(
 
 
 def _vector_text(made: VectorResult) -> str:
-    from geomosaic.errors import counted
-
     layers = ", ".join(f"{name}: {counted(count, 'feature')}" for name, count in made.layers.items())
     lost = f"; left out, without a place in {made.crs.name}: {counted(made.lost, 'feature')}" if made.lost else ""
     cut = f"; {made.cut} reach over the edge of that map and were cut there" if made.cut else ""

@@ -12,6 +12,7 @@ import click
 
 from geomosaic.cli.options import FILE, block_of, image_options, options_of, running_options, stack
 from geomosaic.cli.output import answer, notes
+from geomosaic.errors import InputError
 from geomosaic.options.control import RpcOptions, TieOptions
 from geomosaic.options.inputs import QualityLimits
 
@@ -48,7 +49,6 @@ def command(
       geomosaic rpc left.tif right.tif --refine shift --ties ties.csv --text --folder refined
     """
     from geomosaic.cli.results import placement_failure, quality_facts, verdict
-    from geomosaic.errors import InputError
     from geomosaic.rpc.write import fit_rpc, refine_rpc
     from geomosaic.sensor.registry import rational_sensor
 

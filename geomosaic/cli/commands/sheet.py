@@ -13,6 +13,7 @@ import click
 from geomosaic.cli.options import FILE, options_of, overwrite_option, running_options, stack
 from geomosaic.cli.options import command as grouped_command
 from geomosaic.cli.output import answer, notes
+from geomosaic.errors import counted
 from geomosaic.options.sheet import SheetOptions, scale_text
 
 if TYPE_CHECKING:
@@ -92,8 +93,6 @@ def _text(made: SheetResult) -> str:
     ----------
     made : SheetResult
     """
-    from geomosaic.errors import counted
-
     page = made.page
     left, bottom, right, top = page.neatline
     lines = [

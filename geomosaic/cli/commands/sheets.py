@@ -13,6 +13,7 @@ import click
 from geomosaic.cli.options import FILE, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress
 from geomosaic.cli.values import Number
+from geomosaic.errors import counted
 from geomosaic.options.sheet import SchemeOptions, SeriesOptions, SheetOptions
 
 if TYPE_CHECKING:
@@ -60,7 +61,6 @@ def make_command(
     Example:
       geomosaic sheets make mosaic.tif --scheme puwg1992 --scale 1:10000 -o sheets/
     """
-    from geomosaic.errors import counted
     from geomosaic.sheets.series.inputs import sheet_scheme, sheet_series
 
     with notes(), progress(as_json) as bars:

@@ -12,6 +12,7 @@ import click
 
 from geomosaic.cli.options import FILE, dem_heights_option, file_options, options_of
 from geomosaic.cli.output import answer, notes
+from geomosaic.errors import counted
 from geomosaic.options.sheet import WaterOptions
 
 
@@ -38,7 +39,6 @@ def command(
     Example:
       geomosaic water mosaic.tif --dem dem.tif -o water.gpkg
     """
-    from geomosaic.errors import counted
     from geomosaic.mosaicking.water_proposal import propose_water
 
     with notes():

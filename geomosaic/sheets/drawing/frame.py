@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import shapely
 
 from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
 from geomosaic.sheets.grid_lines import GridLine, MapGrid
@@ -132,8 +133,6 @@ def draw_labels(
 
 def _gaps(page: Page, grid: MapGrid) -> list[FloatArray]:
     """Ends of grid lines between a neatline that is no rectangle and the ticks on the rectangle around it."""
-    import shapely
-
     pieces = [shapely.LineString(page.to_page(piece)) for line in grid.lines for piece in line.pieces]
     outside = shapely.difference(np.array(pieces, dtype=object), page.outline_area)
     parts = shapely.get_parts(outside).tolist()

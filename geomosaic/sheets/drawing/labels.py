@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import shapely
 
 from geomosaic.relief.contours import Contour
 from geomosaic.relief.spot_heights import SpotHeight
@@ -150,8 +151,6 @@ def _marker(canvas: Canvas, xy: FloatArray, marker: Marker) -> None:
 
 def _rings(page: Page, polygon: Any) -> list[FloatArray]:
     """Rings of an area on the page; holes run against the outer ring."""
-    import shapely
-
     turned = shapely.normalize(polygon)
     return [page.to_page(np.asarray(ring.coords)) for ring in (turned.exterior, *turned.interiors)]
 
@@ -212,8 +211,6 @@ def place_names(
 
 def _merged(names: Sequence[LabelRequest]) -> list[LabelRequest]:
     """Join lines of one name where they meet, the longest first: a street is often stored in pieces."""
-    import shapely
-
     together: dict[str, list[Any]] = {}
     for name in names:
         for part in parts_of([name.geometry], "line"):
@@ -254,8 +251,6 @@ def _ways(page: Page, name: LabelRequest, kind: str, label: Label, radius: float
         if len(letters) == 1:
             return [straight(along_line(piece, width, ends=1.0)) for piece in pieces]
         return [along_curve(piece, letters, steps, height, ends=1.0) for piece in pieces]
-    import shapely
-
     largest = shapely.intersection(max(parts, key=lambda p: p.area), shapely.box(*page.bounds))
     if largest.is_empty:
         return []

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import shapely
 from affine import Affine
 from pyproj.enums import WktVersion
 
@@ -283,8 +284,6 @@ def _drawn(
     parts: SheetParts, pixels: Pixels, dpi: int, *, collar: bool
 ) -> tuple[Grid, ByteArray, ByteArray | None, tuple[dict[str, Box], list[str]]]:
     """Draw: grid, pixels (rows, cols, 3), which of them are map (None where all are), boxes and what had no room."""
-    from shapely import Polygon
-
     page = parts.page
     valid: ByteArray | None = None
     if collar:
@@ -298,7 +297,7 @@ def _drawn(
         canvas = Canvas(area)
         drawing = {}, draw_map(canvas, parts, pixels, area)
         if page.outline is not None:
-            valid = rasterized([(Polygon(page.outline), 1)], grid, fill=0, dtype="uint8")
+            valid = rasterized([(shapely.Polygon(page.outline), 1)], grid, fill=0, dtype="uint8")
     drawn = canvas.pixels(dpi)
     if drawn.shape[:2] != grid.shape:
         raise RuntimeError(f"{drawn.shape[:2]} pixels were drawn where {grid.shape} belong")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import shapely
 from pyproj import CRS
 
 import geomosaic
@@ -125,8 +126,6 @@ def _write_index(
     record: dict[str, Any],
 ) -> tuple[Path, ...]:  # fmt: skip
     """Write the atlas index: a GeoPackage of neatlines, and a page that shows them over the raster."""
-    from shapely import Polygon
-
     places = [place for place, _ in order]
     columns: dict[str, list[Any]] = {
         "name": [place.name for place in places],
@@ -137,7 +136,7 @@ def _write_index(
         way.lower(): [place.neighbours.get(way, "") for place in places]
         for way in ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
     }
-    layer = Layer(crs, "Polygon", [Polygon(place.ring) for place in places], columns)
+    layer = Layer(crs, "Polygon", [shapely.Polygon(place.ring) for place in places], columns)
     record["index"] = dict.fromkeys((f"{INDEX}{end}" for end in _INDEX_ENDS), "")
     _write_record(folder, record)
     package = write_layers(folder / f"{INDEX}.gpkg", {"sheets": layer}, overwrite=True)
@@ -285,9 +284,7 @@ class _Task:
 
 
 def _meet(place: SheetPlace, bounds: Bounds) -> bool:
-    from shapely import Polygon, box
-
-    return bool(Polygon(place.ring).intersection(box(*bounds)).area > 0)
+    return bool(shapely.Polygon(place.ring).intersection(shapely.box(*bounds)).area > 0)
 
 
 def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:

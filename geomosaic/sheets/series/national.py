@@ -21,6 +21,7 @@ from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
+import shapely
 
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import parse_crs
@@ -141,14 +142,12 @@ class Mgrs:
 
     def edges(self, name: str) -> tuple[str, FloatArray]:
         """UTM, and the square cut at the edges of its zone and band."""
-        from shapely import Polygon, box
-
         zone, band, col, row = self._parse(name)
         area = _zone_box(zone, band) or (0.0, 0.0, 0.0, 0.0)  # a name that is parsed has one
         crs = _utm(zone, band)
-        inside = Polygon(Transform(parse_crs(self.crs), parse_crs(crs))(densified_ring(corners(area), 400)))
+        inside = shapely.Polygon(Transform(parse_crs(self.crs), parse_crs(crs))(densified_ring(corners(area), 400)))
         size = float(self.size)
-        square = box(col * size, row * size, (col + 1) * size, (row + 1) * size)
+        square = shapely.box(col * size, row * size, (col + 1) * size, (row + 1) * size)
         part = square if inside.contains(square) else square.intersection(inside)
         if part.is_empty or part.geom_type != "Polygon":
             raise InputError(f"'{name}' lies outside zone {zone}{band}", hint="see `geomosaic sheets find`")
@@ -173,12 +172,10 @@ class Mgrs:
 
     def within(self, box: Cell) -> Iterator[str]:
         """Squares that touch a box of longitudes and latitudes."""
-        from shapely import box as rectangle
-
         for band in reversed(BANDS):
             for zone in range(1, 61):
                 area = _zone_box(zone, band)
-                common = None if area is None else rectangle(*area).intersection(rectangle(*box))
+                common = None if area is None else shapely.box(*area).intersection(shapely.box(*box))
                 if common is None or common.is_empty or common.area == 0:
                     continue
                 to = Transform(parse_crs(self.crs), parse_crs(_utm(zone, band)))

@@ -10,6 +10,7 @@ from fractions import Fraction
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
+import shapely
 from pyproj import CRS
 
 from geomosaic.errors import InputError, did_you_mean
@@ -224,9 +225,7 @@ class Polygons:
     _areas: Mapping[str, Any] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        from shapely import Polygon
-
-        object.__setattr__(self, "_areas", {name: Polygon(ring) for name, ring in self.rings.items()})
+        object.__setattr__(self, "_areas", {name: shapely.Polygon(ring) for name, ring in self.rings.items()})
 
     def map_crs(self, name: str) -> str | None:
         """Left open."""
@@ -246,9 +245,7 @@ class Polygons:
         raise InputError(f"{self.title} has no sheet there", where=f"{x:.10g}, {y:.10g} ({self.crs})", hint=self.area)
 
     def _at(self, x: float, y: float, but: Collection[str] = ()) -> str | None:
-        from shapely import Point
-
-        place = Point(x, y)
+        place = shapely.Point(x, y)
         return next((name for name, area in self._areas.items() if name not in but and area.intersects(place)), None)
 
     def edges(self, name: str) -> tuple[str, FloatArray]:
@@ -354,8 +351,6 @@ def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
     InputError
         The rectangle cannot be brought to the scheme's CRS.
     """
-    from shapely import Polygon, box
-
     crs = parse_crs(scheme.crs)
     try:
         there = Transform(map_crs, crs)
@@ -365,10 +360,10 @@ def sheets_on(scheme: Scheme, map_crs: CRS, bounds: Bounds) -> Iterator[str]:
     if not np.isfinite(there(neatline_points(bounds))).all():
         raise InputError(f"the area has no coordinates in {scheme.crs}", hint="use another scheme")
     extent = extent_of(horizontal(crs), there, Transform(crs, map_crs), bounds)
-    area = box(*bounds)
+    area = shapely.box(*bounds)
     names = dict.fromkeys(name for part in _boxes(extent) for name in scheme.within(part))
     for name in names:
-        part = Polygon(sheet_place(scheme, name, map_crs).ring).intersection(area)
+        part = shapely.Polygon(sheet_place(scheme, name, map_crs).ring).intersection(area)
         if part.area > 1e-9 * area.area:  # not those that only touch it
             yield name
 
