@@ -151,16 +151,11 @@ def _error_facts(errors: FloatArray) -> dict[str, Any]:
     }
 
 
-def _headline(fit: ControlFit) -> str:
-    """Kind of errors that measure a fit: 'residuals', or 'leave_one_out' where it passes through its points."""
-    return "residuals" if fit.redundancy > 0 else "leave_one_out"
-
-
 def _accuracy_facts(fit: ControlFit, metres: FloatArray) -> dict[str, Any]:
     """Accuracy from residuals and leave-one-out errors: pixels, map units, metres (`metres` (2,): metres per unit)."""
     return {
         "points": len(fit.ids),
-        "headline": _headline(fit),
+        "headline": "residuals" if fit.redundancy > 0 else "leave_one_out",
         "residuals": {
             "px": _error_facts(fit.residuals),
             "map": _error_facts(fit.map_residuals),

@@ -233,7 +233,8 @@ def finish_fit(solution: Solution, grid: Grid, where: str, *, insist: bool) -> S
     """
     folds = fold_diagnostics(solution.fit.model, solution.fit.xyz, grid)
     stop_on_errors(folds, where, insist=insist)
-    return replace(solution, diagnostics=_sorted((*solution.diagnostics, *folds)))
+    found = sorted((*solution.diagnostics, *folds), key=lambda each: SEVERITIES.index(each.severity))
+    return replace(solution, diagnostics=tuple(found))
 
 
 def _control(info: SourceInfo, given: ControlOptions, bands: tuple[int, ...] | None, like: Grid | None) -> Reading:
@@ -372,7 +373,3 @@ def _zone_of(control: ControlPoints) -> CRS:
         raise InputError("the control lies nowhere on the Earth", where=control.origins[0].path, hint="check its CRS")
     longitude, latitude = np.median(degrees[good], axis=0)
     return utm_zone(float(longitude), float(latitude))
-
-
-def _sorted(diagnostics: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ...]:
-    return tuple(sorted(diagnostics, key=lambda found: SEVERITIES.index(found.severity)))

@@ -217,12 +217,8 @@ def _matrix(tied: TiedImages, keys: set[str]) -> tuple[float, list[tuple[float, 
     best = np.full((-(-count // by),) * 2, -1)
     for a, b in ((0, 1), (1, 0)):
         np.maximum.at(best, (tied.pairs[:, a] // by, tied.pairs[:, b] // by), colour_of)
-    colours = np.array([*(_rgb(colour) for _, colour in CLASSES), (251, 252, 253)], dtype=np.uint8)
+    colours = np.array([*(tuple(bytes.fromhex(colour[1:])) for _, colour in CLASSES), (251, 252, 253)], dtype=np.uint8)
     return cell, [], data_uri(png_bytes(colours[best]))
-
-
-def _rgb(colour: str) -> tuple[int, ...]:
-    return tuple(bytes.fromhex(colour[1:]))
 
 
 def _bars(rays: Mapping[str, int]) -> list[tuple[float, float, float, float, str, int]]:

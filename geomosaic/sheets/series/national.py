@@ -391,14 +391,10 @@ def tk(scale: int) -> GridScheme:
     return GridScheme(
         f"TK {scale // 1000}", "EPSG:4314", float(scale), (left, Fraction(56)),
         (Fraction(side, 6), Fraction(side, 10)), True, name_of, place_of, f"{prefix} 7934".strip(),
-        lambda name: "EPSG:25832" if _tk_column(name) < 38 else "EPSG:25833",
+        # Column 38 begins at 12° E, where UTM zone 33 does.
+        lambda name: "EPSG:25832" if int(name[-2:]) < 38 else "EPSG:25833",
         "its sheets cover Germany: use another scheme",
     )  # fmt: skip
-
-
-def _tk_column(name: str) -> int:
-    """Column of a sheet; 38 begins at 12° E, where UTM zone 33 does."""
-    return int(name[-2:])
 
 
 # Longitude of the meridian of Paris in degrees (2.5969213 gon).

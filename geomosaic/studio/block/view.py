@@ -47,7 +47,7 @@ class BlockView:
         prints = {} if crs is None else reading.footprints(crs)
         centres = np.array([prints[p.name].centre if p.name in prints else (np.nan, np.nan) for p in project.images])
         lines = _lines(project, centres)
-        aside = self._aside(project)
+        aside = dict(facts_of(Layout(project).facts("orient")).get("set_aside", {}))  # by the adjustment, with reasons
         own, facts = _ties_by_image(reading.residuals), reading.facts
         weak = {one["name"]: one["weak"] for one in facts.get("ties", {}).get("images", ())}
         images = []
@@ -203,10 +203,6 @@ class BlockView:
 
     def _crs(self, reading: BlockReading, layer: str | None) -> CRS | None:
         return reading.crs if layer is None else map_frame(self._workspace.raster(layer))[0]
-
-    def _aside(self, project: Project) -> Mapping[str, str]:
-        """Images that the adjustment has set aside, each with the reason."""
-        return dict(facts_of(Layout(project).facts("orient")).get("set_aside", {}))
 
     def _id(self, name: str) -> str:
         return next(one.id for one in self._workspace.layers() if one.role == "image" and one.path.name == name)

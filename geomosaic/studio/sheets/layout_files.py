@@ -16,7 +16,7 @@ from tomlkit.items import AoT
 from geomosaic.digests import digest_of
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.sheets.inputs import layout_of
-from geomosaic.sheets.layout import Layout, check_layout
+from geomosaic.sheets.layout import check_layout
 from geomosaic.studio.history import text_of
 from geomosaic.studio.toml_edit import set_key
 
@@ -137,15 +137,10 @@ def problem(text: str, name: str) -> GeomosaicError | None:
         Of the file, for errors.
     """
     try:
-        check_layout(_checked(text, name))
+        check_layout(layout_of(values_of(text, name), name))
     except GeomosaicError as error:
         return error
     return None
-
-
-def _checked(text: str, name: str) -> Layout:
-    """Layout of a text."""
-    return layout_of(values_of(text, name), name)
 
 
 def edited(text: str, edit: Mapping[str, Any]) -> str:
