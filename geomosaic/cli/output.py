@@ -216,7 +216,7 @@ def _color() -> bool | None:
     return False if os.environ.get("NO_COLOR") or not sys.stderr.isatty() else None
 
 
-def say(text: str = "") -> None:
+def say(text: str) -> None:
     """Message for people, on standard error.
 
     Parameters

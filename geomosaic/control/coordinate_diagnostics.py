@@ -168,11 +168,15 @@ FOOT = 0.3048
 SMALLEST = 1e-4
 
 
+# Degrees that points may lie from a place that is known to be near.
+NEAR = 1.0
+
+
 def _within_area(xy: FloatArray, crs: CRS, area: Area) -> BoolArray:
     return np.asarray((beyond(longitude_latitude(xy, crs), area) <= MARGIN).all(axis=1))
 
 
-def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, within: float = 1.0) -> list[Diagnostic]:
+def misplaced(control: ControlPoints, near: tuple[float, float] | None = None) -> list[Diagnostic]:
     """Ground coordinates that do not fit their CRS.
 
     Parameters
@@ -180,9 +184,7 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
     control : ControlPoints
     near : tuple of float, optional
         Longitude and latitude in degrees of a place near the image (EXIF, a DEM, the map). Coordinates of one zone are
-        valid in every other: only this tells them apart.
-    within : float
-        Degrees that the points may lie from it.
+        valid in every other: only this tells them apart. The points may lie `NEAR` degrees from it.
 
     Returns
     -------
@@ -194,7 +196,7 @@ def misplaced(control: ControlPoints, near: tuple[float, float] | None = None, w
         return []
     area = area_of_use(crs)
     if near is not None:
-        area = (near[0] - within, near[1] - within, near[0] + within, near[1] + within)
+        area = (near[0] - NEAR, near[1] - NEAR, near[0] + NEAR, near[1] + NEAR)
     if _tiny(control):
         what = f"the points ({xy[0, 0]:.10g}, {xy[0, 1]:.10g}, ...) look like degrees, and '{crs.name}' is metric"
         hint = "give the control's CRS as a geographic one, such as EPSG:4326"

@@ -42,13 +42,7 @@ def _is_qgis(header: str) -> bool:
     return fields[:4] in HEADERS
 
 
-def _read_qgis(
-    path: PathLike,
-    *,
-    crs: str | CRS | None = None,
-    size: tuple[int, int] | None = None,
-    sign: str | None = None,
-) -> Reading:
+def _read_qgis(path: PathLike, crs: str | CRS | None, size: tuple[int, int] | None, sign: str | None) -> Reading:
     """Read a `.points` file.
 
     QGIS counts x and y of an image without georeference from the upper left corner of the upper-left pixel, y upwards:
@@ -145,7 +139,7 @@ def _odm_crs(text: str, where: str) -> str:
     return f"EPSG:{(32600 if hemisphere == 'N' else 32700) + zone}"
 
 
-def _read_odm(path: PathLike, *, image: str | None = None, crs: str | CRS | None = None, half: float = 0.5) -> Reading:
+def _read_odm(path: PathLike, image: str | None, crs: str | CRS | None, half: float) -> Reading:
     """Read control of one image: lines of x, y, z, image x, image y, image name and optionally the point's name."""
     where = str(path)
     stated, measured, unnamed = odm_measurements(path, half=half)
@@ -223,7 +217,7 @@ def odm_measurements(path: PathLike, half: float = 0.5) -> tuple[str, list[tuple
     return stated, points, unnamed
 
 
-def _read_tagged(path: PathLike, *, crs: str | CRS | None = None) -> Reading:
+def _read_tagged(path: PathLike, crs: str | CRS | None) -> Reading:
     """Read the control points of a raster; its col and row are corner-based as ours."""
     where = str(path)
     with environment(), open_raster(path) as dataset:
@@ -286,7 +280,7 @@ def read_world_transform(path: PathLike) -> tuple[float, float, float, float, fl
     return a, b, x - (a + b) / 2, d, e, y - (d + e) / 2
 
 
-def _read_world(path: PathLike, *, size: tuple[int, int] | None, crs: str | CRS | None = None) -> Reading:
+def _read_world(path: PathLike, size: tuple[int, int] | None, crs: str | CRS | None) -> Reading:
     """Read a world file as control at the centres of the four corner pixels."""
     where = str(path)
     a, b, c, d, e, f = read_world_transform(path)
@@ -399,14 +393,14 @@ def read_control_file(
     if sign is not None and kind != "qgis":
         raise InputError(f"the sign of rows has no meaning in format '{kind}'", where=str(path), hint="leave it out")
     if kind == "qgis":
-        return _read_qgis(path, crs=crs, size=size, sign=sign)
+        return _read_qgis(path, crs, size, sign)
     if kind == "odm":
-        return _read_odm(path, image=image, crs=crs, half=COUNTS[count or "centre"])
+        return _read_odm(path, image, crs, COUNTS[count or "centre"])
     if kind == "csv":
         return read_table_control(path, image=image, crs=crs, half=COUNTS[count or "corner"], reference=reference)
     if kind == "raster":
-        return _read_tagged(path, crs=crs)
-    return _read_world(path, size=size, crs=crs)
+        return _read_tagged(path, crs)
+    return _read_world(path, size, crs)
 
 
 def read_control(

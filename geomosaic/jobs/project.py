@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -320,7 +319,6 @@ def run_steps(
     force: bool = False,
     machine: Machine | None = None,
     progress: Progress | None = None,
-    executor: Executor | None = None,
     stop: Stop | None = None,
 ) -> Outcome:
     """Run of what is stale in a project, then a verdict on its quality.
@@ -328,7 +326,7 @@ def run_steps(
     Parameters
     ----------
     project : Project
-    only, force, progress, executor, stop
+    only, force, progress, stop
         See `engine.run`.
     machine : Machine, optional
         Threads and memory; all there are unless given.
@@ -347,7 +345,7 @@ def run_steps(
     job = job_of(project, machine)
     with keys_in_errors(project.path.name), workers_for(RenderOptions(**(machine or Machine()).options)) as run:
         try:
-            states = engine.run(job, only=only, force=force, progress=progress, executor=executor, stop=stop)
+            states = engine.run(job, only=only, force=force, progress=progress, stop=stop)
         finally:
             if run is not None and run.units:  # of a run that ends early, too
                 write_json(project.state / RUN_REPORT, run.facts)

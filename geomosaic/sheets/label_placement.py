@@ -241,9 +241,7 @@ MOST_LEAN = 45.0
 MOST_TURN = 20.0
 
 
-def along_line(
-    path: FloatArray, width: float, *, bend: float = 20.0, offset: float = 0.0, ends: float = 0.0
-) -> list[LabelPosition]:
+def along_line(path: FloatArray, width: float, *, bend: float = 20.0, ends: float = 0.0) -> list[LabelPosition]:
     """Positions of a straight text on a line, best first: near the middle, where the line is straight.
 
     Parameters
@@ -251,7 +249,6 @@ def along_line(
     path : array (N, 2), in mm on the page
     width : float, of the text
     bend : float, largest turn of the line under the text, degrees
-    offset : float, distance of the text's middle from the line; upwards on the page where positive, on it where 0
     ends : float, distance from the line's ends
 
     Returns
@@ -271,10 +268,8 @@ def along_line(
             continue
         angle = upright(math.degrees(math.atan2(chord[1], chord[0])))
         x, y = points.mean(axis=0)
-        up = math.radians(angle + 90.0)
-        spot = LabelPosition(float(x) + offset * math.cos(up), float(y) + offset * math.sin(up), angle)
         # Classes of 5 degrees: of places about as straight the one nearest to the middle comes first.
-        found.append((round(worst / 5.0), rank, spot))
+        found.append((round(worst / 5.0), rank, LabelPosition(float(x), float(y), angle)))
     return [spot for _, _, spot in sorted(found, key=lambda item: item[:2])]
 
 

@@ -43,7 +43,7 @@ def draw_head(canvas: Canvas, sheet: SheetPart, head: Box, own: Sequence[str]) -
         return boxes, [note.format(one.title, one.where) for one in left_out]
     upper = bottom + 13.0
     if "logo" in own:
-        boxes["logo"] = draw_logo(canvas, sheet.logo, left, upper, LOGO, (right - left) / 3)
+        boxes["logo"] = draw_logo(canvas, sheet.logo, left, upper, (right - left) / 3)
         left = boxes["logo"][2] + 3.0
     room = right - left
     most = room if "title" not in own else 0.45 * room
@@ -135,14 +135,14 @@ def _draw_rows(
     return (left, low, left + widest, max(high, rows[0][0] + 5.0)), remarks
 
 
-def draw_logo(canvas: Canvas, path: str, left: float, top: float, height: float, widest: float) -> Box:
+def draw_logo(canvas: Canvas, path: str, left: float, top: float, widest: float) -> Box:
     """Picture below `top`, on the line on which one of the full height would stand, lower where that is too wide.
 
     Parameters
     ----------
     canvas : Canvas
     path : str
-    left, top, height, widest : float
+    left, top, widest : float
         Millimetres on the page.
 
     Raises
@@ -158,8 +158,8 @@ def draw_logo(canvas: Canvas, path: str, left: float, top: float, height: float,
     except (OSError, UnidentifiedImageError) as error:
         raise InputError(f"the logo cannot be read ({error})", where=path, hint="give a PNG or JPEG file") from None
     ratio = float(pixels.shape[1] / pixels.shape[0])
-    bottom = top - height
-    height = min(height, widest / ratio)
+    bottom = top - LOGO
+    height = min(LOGO, widest / ratio)
     box = (left, bottom, left + height * ratio, bottom + height)
     canvas.picture(pixels, box)
     return box

@@ -12,7 +12,6 @@ from geomosaic.sheets.drawing.canvas import CAP, POINT, Canvas, text_size
 from geomosaic.sheets.drawing.contents import Entry, SheetParts, legend
 from geomosaic.sheets.drawing.frame import INDEX, draw_index
 from geomosaic.sheets.drawing.head import (
-    LOGO,
     draw_head,
     draw_logo,
     draw_number,
@@ -144,7 +143,7 @@ def _elements(parts: SheetParts) -> Mapping[str, _Draw]:
     page, layout, sheet = parts.page, parts.layout, parts.layout.sheet
     found: dict[str, _Draw] = {}
     if sheet.logo:
-        found["logo"] = lambda canvas, x, y: (draw_logo(canvas, sheet.logo, x, y, LOGO, page.width / 3), [])
+        found["logo"] = lambda canvas, x, y: (draw_logo(canvas, sheet.logo, x, y, page.width / 3), [])
     if sheet.title or sheet.subtitle:
         found["title"] = lambda canvas, x, y: draw_title(canvas, sheet, x, y, page.width - x)
     if any(sheet_number(sheet)):
