@@ -227,6 +227,22 @@ def say(text: str) -> None:
     click.echo(_as_typed(translated(text)), err=True)
 
 
+def _traffic() -> tuple[dict[str, int], str] | None:
+    """Traffic with object stores, its own and that of workers; None where there was none."""
+    if "geomosaic.stores.traffic" not in sys.modules:
+        return None
+    from geomosaic.raster.files import size_text
+    from geomosaic.stores.traffic import traffic
+
+    used = traffic()
+    if not used.requests:
+        return None
+    facts = {"requests": used.requests, "bytes_read": used.read, "bytes_written": used.written}
+    return facts, (
+        f"object stores: {size_text(used.read)} read and {size_text(used.written)} written by {used.requests} requests"
+    )
+
+
 def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
     """Result of a command, on standard output.
 
@@ -244,6 +260,9 @@ def answer(result: Mapping[str, Any], words: str, as_json: bool) -> None:
     OutputError
         Standard output takes no more, such as a full disk.
     """
+    if (used := _traffic()) is not None:
+        facts, said = used
+        result, words = {**result, "object_stores": facts}, f"{words}\n{said}"
     text = words if not as_json else json.dumps(result, ensure_ascii=False, default=str)
     if "`" in text:  # in results themselves, not in the text of all: a name may have quotes
         text = json.dumps(_translated_values(json.loads(text)), ensure_ascii=False) if as_json else translated(words)

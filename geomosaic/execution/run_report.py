@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.errors import counted
+from geomosaic.stores.traffic import NO_TRAFFIC
+from geomosaic.stores.traffic import add as add_traffic
 
 if TYPE_CHECKING:
     from geomosaic.execution.task import Answer
@@ -102,7 +104,9 @@ class RunReport:
     _ended: float | None = None
 
     def add(self, work: str, answer: Answer, size: int) -> None:
-        """Add what a task took, see `WorkerReport.add`."""
+        """Add what a task took, see `WorkerReport.add`; its traffic counts as that of this process, too."""
+        if answer.usage.stores != NO_TRAFFIC:
+            add_traffic(answer.usage.stores)
         self.workers.setdefault(answer.worker, WorkerReport(answer.worker)).add(work, answer, size)
 
     def end(self) -> None:

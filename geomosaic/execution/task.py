@@ -15,6 +15,7 @@ from typing import Any
 
 from geomosaic.execution.packing import function_of
 from geomosaic.raster.environment import environment
+from geomosaic.stores.traffic import NO_TRAFFIC, Traffic, traffic
 
 # A task ends early after so many seconds or bytes of results; what is left of it goes out again.
 LONGEST, LARGEST = 2.0, 16 << 20
@@ -22,35 +23,38 @@ LONGEST, LARGEST = 2.0, 16 << 20
 
 @dataclass(frozen=True)
 class Usage:
-    """Processor time and bytes of files of a process.
+    """Processor time of a process, bytes of its files, and its traffic with object stores.
 
     Attributes
     ----------
     processor_seconds : float
     read, written : int, optional
-        None where the system does not count them.
+        Of files and object stores together; None where the system does not count them.
+    stores : Traffic
     """
 
     processor_seconds: float
     read: int | None = None
     written: int | None = None
+    stores: Traffic = NO_TRAFFIC
 
     @classmethod
     def of_process(cls) -> Usage:
         """Usage of this process so far."""
         read = written = None
+        stores = traffic()
         with suppress(OSError, ValueError, KeyError):  # Linux counts them
             lines = Path("/proc/self/io").read_text().splitlines()
             counts = {name: int(count) for name, count in (line.split(": ") for line in lines)}
-            read, written = counts["rchar"], counts["wchar"]
-        return cls(time.process_time(), read, written)
+            read, written = counts["rchar"] + stores.read, counts["wchar"] + stores.written
+        return cls(time.process_time(), read, written, stores)
 
     def since(self, before: Usage) -> Usage:
         """What was used after `before`."""
-        seconds = self.processor_seconds - before.processor_seconds
+        seconds, stores = self.processor_seconds - before.processor_seconds, self.stores - before.stores
         if self.read is None or self.written is None or before.read is None or before.written is None:
-            return Usage(seconds)
-        return Usage(seconds, self.read - before.read, self.written - before.written)
+            return Usage(seconds, stores=stores)
+        return Usage(seconds, self.read - before.read, self.written - before.written, stores)
 
 
 @dataclass(frozen=True)

@@ -110,13 +110,14 @@ class SourceInfo:
         )  # fmt: skip
 
 
-def open_raster(path: PathLike, *, direct: bool = False) -> Any:
+def open_raster(path: PathLike, *, direct: bool = False, overview: int | None = None) -> Any:
     """Rasterio's dataset of a raster opened for reading, in a format of the allow-list.
 
     Parameters
     ----------
     path : path
     direct : bool, read tiled uncompressed TIFFs straight from the file, past GDAL's block cache
+    overview : int, optional, level in place of the raster itself, counted from 0
 
     Raises
     ------
@@ -129,7 +130,7 @@ def open_raster(path: PathLike, *, direct: bool = False) -> Any:
     if file.is_dir():
         raise RasterReadError("this is a folder, not a raster", where=str(path), hint="name the file in it")
     sources = source_files(file)
-    served = opened(file, sources)
+    served = opened(file, sources) | ({} if overview is None else {"overview_level": overview})
     reason: Exception | None = None
     # Direct reads are 2 to 5 times as fast. Only for tiled files: with strips, GDAL would not notice a truncated one.
     with environment(GTIFF_DIRECT_IO="YES" if direct else "NO"), opening():
@@ -242,7 +243,7 @@ def _metadata(path: str) -> Iterator[None]:
 
 def _transform(dataset: Any, path: str) -> Affine | None:
     """Geotransform, None where the file has none."""
-    transform = dataset.transform
+    transform: Affine = dataset.transform
     if not all(abs(value) <= _LARGEST for value in transform[:6]):
         raise RasterReadError(
             f"the georeference has numbers that are no place: {', '.join(f'{value:g}' for value in transform[:6])}",

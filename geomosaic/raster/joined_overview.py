@@ -17,6 +17,7 @@ from rasterio.windows import Window as Part
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.cog.codec import OVERVIEWS
 from geomosaic.raster.environment import environment
+from geomosaic.raster.info import open_raster
 from geomosaic.types import AnyArray
 from geomosaic.whole_files import under_construction
 
@@ -38,7 +39,7 @@ def overview_factor(grid: Grid, files: Mapping[Path, Window], most: int) -> int:
         The largest factor.
     """
     largest = max(files, key=lambda path: files[path].width * files[path].height)
-    with environment(), rasterio.open(largest) as tile:
+    with environment(), open_raster(largest) as tile:
         levels = [level for level in tile.overviews(1) if level & (level - 1) == 0 and level <= most]
     enough = [level for level in levels if max(grid.width, grid.height) <= level * _LARGEST]
     return min(enough, default=max(levels, default=1))
@@ -68,7 +69,7 @@ def write_overview(
         The disk is full.
     """
     small = grid.coarser(factor)
-    with environment(), rasterio.open(next(iter(files))) as first:
+    with environment(), open_raster(next(iter(files))) as first:
         form = {"dtype": first.dtypes[0], "count": first.count + (first.nodata is None), "nodata": first.nodata}
         colours, names = list(first.colorinterp), list(first.descriptions)
         mean = Resampling.rms if first.tags().get(OVERVIEWS) == "RMS" else Resampling.average
@@ -98,12 +99,12 @@ def write_overview(
 
 def _reduced(path: Path, window: Window, factor: int, method: Resampling) -> AnyArray:
     """Bands of a file at a factor, and behind them whether they are valid where the file has a mask."""
-    with rasterio.open(path) as whole:
+    with open_raster(path) as whole:
         levels = whole.overviews(1)
     # Level n is what GDAL counts from 0. A file at the edge may be too small to have it.
-    own = {"overview_level": levels.index(factor)} if factor in levels else {}
+    own = levels.index(factor) if factor in levels else None
     shape = -(-window.height // factor), -(-window.width // factor)
-    with rasterio.open(path, **own) as tile:
+    with open_raster(path, overview=own) as tile:
         values = tile.read(out_shape=(tile.count, *shape), resampling=method)
         if tile.nodata is not None:
             return np.asarray(values)

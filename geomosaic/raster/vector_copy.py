@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from geomosaic.errors import GeomosaicWarning, InputError
 from geomosaic.raster.files import check_output
 from geomosaic.raster.vector import append_layer, layer_names, plain_tables, read_layer, read_table
-from geomosaic.whole_files import partial, remove, sync
+from geomosaic.whole_files import partial, put_in_place, remove
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -160,8 +160,7 @@ def _publish(whole: Path, output: Path, driver: str) -> None:
     for part in parts:
         made = whole.with_suffix(part.suffix.lower())
         if made.exists():
-            sync(made)
-            made.replace(part)
+            put_in_place(made, part)
 
 
 def _check_one_kind(frame: GeoDataFrame, where: str) -> None:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from os.path import relpath
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-import rasterio
-
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.raster.environment import environment
 from geomosaic.raster.files import write_text
+from geomosaic.raster.info import open_raster
 from geomosaic.raster.vector import Layer, write_layers
+from geomosaic.whole_files import relative_path
 
 # Sample types as GDAL names them.
 _TYPES = {
@@ -42,7 +41,7 @@ def write_vrt(
     ------
     OutputExistsError, OutputError
     """
-    with environment(), rasterio.open(next(iter(files))) as first:
+    with environment(), open_raster(next(iter(files))) as first:
         names, kinds, values = first.descriptions, first.dtypes, first.nodatavals
         colours = [colour.name.capitalize() for colour in first.colorinterp]
         tags, masked = first.tags(), first.nodata is None
@@ -66,10 +65,10 @@ def write_vrt(
         bands.append((mask, "mask,1"))
     for band, source in bands:
         for file, window in files.items():
-            _source(band, relpath(file, path.parent), source, window)
+            _source(band, relative_path(file, path.parent), source, window)
         if overview is not None:
             own = SubElement(band, "Overview")
-            name = Path(relpath(overview, path.parent)).as_posix()
+            name = relative_path(overview, path.parent)
             SubElement(own, "SourceFilename", relativeToVRT="1").text = name
             SubElement(own, "SourceBand").text = str(len(names) + 1) if source.startswith("mask") else source
     ElementTree.indent(root)
@@ -79,7 +78,7 @@ def write_vrt(
 def _source(band: Element, name: str, source: str, window: Window) -> None:
     """Pixels of one file in their place."""
     one = SubElement(band, "SimpleSource")
-    SubElement(one, "SourceFilename", relativeToVRT="1").text = Path(name).as_posix()
+    SubElement(one, "SourceFilename", relativeToVRT="1").text = name
     SubElement(one, "SourceBand").text = source
     size = {"xSize": str(window.width), "ySize": str(window.height)}
     SubElement(one, "SrcRect", {"xOff": "0", "yOff": "0", **size})
@@ -102,7 +101,7 @@ def write_tile_index(path: Path, grid: Grid, files: Mapping[Path, Window], *, ov
     """
     import shapely
 
-    names = [Path(relpath(file, path.parent)).as_posix() for file in files]
+    names = [relative_path(file, path.parent) for file in files]
     boxes = [shapely.box(*grid.crop(window).bounds) for window in files.values()]
     columns: dict[str, Sequence[str]] = {"location": names}
     write_layers(path, {"tiles": Layer(grid.crs, "Polygon", boxes, columns)}, overwrite=overwrite)

@@ -170,7 +170,11 @@ class StorePath(_Base):  # type: ignore[misc]
     def check_writable(self) -> None:
         """Check that objects may be written beside it, and that it is no folder's name."""
         name = self.name_in_store
-        _objects().check_rights(name.scheme, name.store, name.key.rpartition("/")[0])
+        try:
+            _objects().check_rights(name.scheme, name.store, name.key.rpartition("/")[0])
+        except InputError as error:
+            error.where = str(self)
+            raise
 
     def sha256(self) -> str | None:
         """Checksum of what this process has written to the object; None where it has not."""

@@ -29,7 +29,8 @@ class Traffic:
         return Traffic(self.requests - other.requests, self.read - other.read, self.written - other.written)
 
 
-_total = Traffic()
+NO_TRAFFIC = Traffic()
+_total = NO_TRAFFIC
 _lock = threading.Lock()
 
 
