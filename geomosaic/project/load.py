@@ -23,6 +23,8 @@ from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.project.schema import ProjectFile
+from geomosaic.stores.addresses import is_address
+from geomosaic.stores.path import joined, to_path
 from geomosaic.types import PathLike
 from geomosaic.whole_files import read_text, read_toml
 
@@ -65,7 +67,7 @@ class Project:
     @property
     def output(self) -> Path:
         """Folder of the outputs."""
-        return self.folder / self.settings.output.folder
+        return joined(self.folder, self.settings.output.folder)
 
     @property
     def state(self) -> Path:
@@ -74,11 +76,11 @@ class Project:
 
     def file(self, path: str | None) -> Path | None:
         """Path of the project file, resolved from its folder."""
-        return None if path is None else self.folder / path
+        return None if path is None else joined(self.folder, path)
 
     def files(self, paths: Sequence[str]) -> tuple[Path, ...]:
         """Paths of the project file, resolved from its folder."""
-        return tuple(self.folder / path for path in paths)
+        return tuple(joined(self.folder, path) for path in paths)
 
     @cached_property
     def options(self) -> MosaicOptions:
@@ -151,7 +153,7 @@ class Project:
                 value = values.get(one.name)
                 for path in value if isinstance(value, tuple) else (value,):
                     if isinstance(path, Path) or (one.option.files and isinstance(path, str)):
-                        found[f"[{one.option.section}] {one.key}"] = Path(path)
+                        found[f"[{one.option.section}] {one.key}"] = to_path(path)
         return found
 
     @property
@@ -337,10 +339,7 @@ def _find_images(folder: Path, patterns: list[str], where: str, others: Collecti
     found: dict[Path, None] = {}
     for pattern in patterns:
         if is_pattern(pattern):
-            base = Path(pattern)
-            root, rest = (
-                (Path(base.anchor), str(base.relative_to(base.anchor))) if base.is_absolute() else (folder, pattern)
-            )
+            root, rest = _split_pattern(folder, pattern)
             try:
                 matches = sorted(match for match in root.glob(rest) if match.is_file() and match.name[0] != ".")
             except (ValueError, NotImplementedError) as error:
@@ -350,7 +349,7 @@ def _find_images(folder: Path, patterns: list[str], where: str, others: Collecti
                 raise InputError(f"'{pattern}' matches no file in {root}", where=where, hint="check the pattern")
             matches = _images_among(pattern, matches, others)
         else:
-            matches = [folder / pattern]
+            matches = [joined(folder, pattern)]
             if not matches[0].is_file():
                 near = [entry.name for entry in matches[0].parent.glob("*")] if matches[0].parent.is_dir() else []
                 hint = did_you_mean(matches[0].name, near)
@@ -364,6 +363,16 @@ def _find_images(folder: Path, patterns: list[str], where: str, others: Collecti
                 )
         found.update(dict.fromkeys(matches))
     return tuple(found)
+
+
+def _split_pattern(folder: Path, pattern: str) -> tuple[Path, str]:
+    """Folder that a pattern counts from, and the rest of it."""
+    if is_address(pattern):
+        parts = to_path(pattern).parts
+        fixed = next(k for k, part in enumerate(parts) if is_pattern(part))
+        return to_path("/".join(parts[1:fixed])), "/".join(parts[fixed:])
+    base = Path(pattern)
+    return (Path(base.anchor), str(base.relative_to(base.anchor))) if base.is_absolute() else (folder, pattern)
 
 
 def _images_among(pattern: str, matches: list[Path], others: Collection[Path]) -> list[Path]:

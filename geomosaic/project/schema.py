@@ -17,10 +17,21 @@ from geomosaic.options.declaration import Declared, Option, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, QualityLimits
 from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.options.tie_points import TiePointOptions
+from geomosaic.stores.addresses import accept, is_address
 
 
 def _plain_path(text: str) -> str:
-    """Path of a file on this machine."""
+    """Path of a file on this machine, or address of an object that opens without anything secret in it."""
+    if is_address(text):
+        if re.search(r"[?]|//[^/]*@", text):
+            raise ValueError(
+                "a signature or password in an address does not belong into a project file: "
+                "set the variables of the store's credentials"
+            )
+        try:
+            return accept(text)
+        except InputError as error:
+            raise ValueError(f"{error.what}: {error.hint}") from None
     # GDAL would take other names for addresses, archives or XML descriptions, and read what the project does not name.
     if not text.strip():
         raise ValueError("the path is empty")

@@ -66,6 +66,8 @@ _ranges: OrderedDict[tuple[str, int, int, int], bytes] = OrderedDict()
 _RANGES = 32 << 20
 
 _heads: OrderedDict[str, Facts] = OrderedDict()
+# Size, time and moment of the answer of what lists of folders have told.
+_listed_objects: dict[str, tuple[int, int, float]] = {}
 _lock = threading.Lock()
 
 
@@ -97,9 +99,7 @@ def facts(name: Name) -> Facts:
                 raise
             got = obstore.get(_client(name), name.key)
         head = bytes(got.bytes())
-        meta = got.meta
-        changed = int(meta["last_modified"].timestamp()) * 10**9 + zlib.crc32((meta["e_tag"] or "").encode()) % 10**9
-        return Facts(int(meta["size"]), changed, head, time.monotonic())
+        return Facts(*_size_and_time(got.meta), head, time.monotonic())
 
     found = _asked(name, first)
     count(read=len(found.head))
@@ -108,6 +108,30 @@ def facts(name: Name) -> Facts:
         while len(_heads) > _KEPT:
             _heads.popitem(last=False)
     return found
+
+
+def _size_and_time(meta: Any) -> tuple[int, int]:
+    mark = (meta["e_tag"] or "").removeprefix("W/").strip('"')
+    return int(meta["size"]), int(meta["last_modified"].timestamp()) * 10**9 + zlib.crc32(mark.encode()) % 10**9
+
+
+def size_and_time(name: Name) -> tuple[int, int]:
+    """Bytes of an object and its time, from a list of its folder where there is one; see `Facts`.
+
+    Parameters
+    ----------
+    name : Name
+
+    Raises
+    ------
+    FileNotFoundError, StoreError
+    """
+    with _lock:
+        listed = _listed_objects.get(str(name))
+    if listed is not None and time.monotonic() - listed[2] < _HOLDS:
+        return listed[:2]
+    found = facts(name)
+    return found.size, found.time
 
 
 def forget(name: Name | None = None) -> None:
@@ -125,6 +149,7 @@ def forget(name: Name | None = None) -> None:
             _heads.clear()
         else:
             _heads.pop(str(name), None)
+            _listed_objects.pop(str(name), None)
             _written.pop(str(name), None)
 
 
@@ -370,6 +395,10 @@ def children(name: Name) -> tuple[list[Name], list[Name]]:
 
     found = _asked(name, lambda: obstore.list_with_delimiter(_client(name), prefix=name.key or None))
     objects = [Name(name.scheme, name.store, str(each["path"])) for each in found["objects"]]
+    asked = time.monotonic()
+    with _lock:
+        for own, each in zip(objects, found["objects"], strict=True):
+            _listed_objects[str(own)] = (*_size_and_time(each), asked)
     return objects, [Name(name.scheme, name.store, str(each)) for each in found["common_prefixes"]]
 
 

@@ -75,10 +75,10 @@ class StorePath(_Base):  # type: ignore[misc]
 
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
         """Size and time of the object."""
-        known = _objects().facts(self.name_in_store)
-        seconds, exact = known.time // 10**9, known.time
+        size, exact = _objects().size_and_time(self.name_in_store)
+        seconds = exact // 10**9
         return os.stat_result(
-            (modes.S_IFREG | 0o644, 0, 0, 1, 0, 0, known.size, seconds, seconds, seconds),
+            (modes.S_IFREG | 0o644, 0, 0, 1, 0, 0, size, seconds, seconds, seconds),
             {"st_atime_ns": exact, "st_mtime_ns": exact, "st_ctime_ns": exact},
         )
 
@@ -91,7 +91,7 @@ class StorePath(_Base):  # type: ignore[misc]
     def is_file(self, *, follow_symlinks: bool = True) -> bool:
         """Whether there is such an object."""
         try:
-            _objects().facts(self.name_in_store)
+            _objects().size_and_time(self.name_in_store)
         except FileNotFoundError:
             return False
         return True
@@ -206,6 +206,17 @@ def to_path(name: str | Path) -> Path:
     scheme, _, rest = text.lstrip("/").partition(":")
     path: StorePath = StorePath("/", f"{scheme.lower()}:", *rest.lstrip("/").split("/"))
     return path
+
+
+def joined(folder: Path, name: str | Path) -> Path:
+    """Path of a name that counts from a folder, unless it is absolute or an address.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str or Path
+    """
+    return to_path(name) if isinstance(name, StorePath) or is_address(str(name)) else folder / name
 
 
 def given_path(name: str | Path) -> Path:
