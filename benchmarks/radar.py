@@ -46,6 +46,7 @@ def table(size: int) -> dict[str, object]:
             "near": RANGE - 0.5 * size * PIXEL * np.sin(LOOK),
             "spacing": PIXEL * np.sin(LOOK),
         },
+        "calibration": {"quantity": "beta0", "factor": [1e-5, 2e-5], "columns": [0, size]},
         "orbit": {
             "times": times.tolist(),
             "positions": (distance * (np.cos(turn) * first + np.sin(turn) * second)).tolist(),
@@ -62,12 +63,13 @@ def sar(s: Setting) -> Result:
     (home / "scene.radar.json").write_text(json.dumps(table(3000 if s.small else 12_000)))
     ground = ("--dem", dem, "--dem-heights", "ellipsoidal")
     once(((*s.programs.geomosaic, "rpc", scene, "--sensor", "sar", *ground, "--text", "--overwrite"),), s.work)
-    outs = {name: s.work / f"{name}.tif" for name in ("sar", "rpc")}
+    outs = {name: s.work / f"{name}.tif" for name in ("sar", "rpc", "sigma0")}
 
     def ours(name: str, target: Path, *more: str) -> Command:
         place = (*ground, "--dst-crs", CRS, "--res", repr(PIXEL))
-        options = ("--option", "refine=none", *RAW, "-o", str(target), "--overwrite", *more)
-        return (*s.programs.geomosaic, "ortho", scene, "--sensor", name, *place, *options)
+        calibrated = ("--option", "calibration=sigma0") if name == "sigma0" else ()
+        options = ("--option", "refine=none", *calibrated, *RAW, "-o", str(target), "--overwrite", *more)
+        return (*s.programs.geomosaic, "ortho", scene, "--sensor", "rpc" if name == "rpc" else "sar", *place, *options)
 
     grid = grid_of(once((ours("sar", outs["sar"], "--json"),), s.work))
     place = ("--bounds", *map(repr, grid["bounds"]))
@@ -77,5 +79,7 @@ def sar(s: Setting) -> Result:
     result.megapixels = grid["width"] * grid["height"] / 1e6
     result.facts = {"output": size_words}
     result.at_most("wall / RPC ortho of the same size", times.ratio("sar", "rpc"), 2.0)
+    result.at_most("calibrated: wall / RPC ortho of the same size", times.ratio("sigma0", "rpc"), 2.0)
     result.at_most("peak memory, MB", peak(result, "sar"), 400)
+    result.at_most("calibrated: peak memory, MB", peak(result, "sigma0"), 500)
     return result

@@ -10,7 +10,7 @@ a and b being the sides of a facet and s the direction to the sensor (Small, Fla
 correction for SAR imagery, IEEE Transactions on Geoscience and Remote Sensing 49(8), 2011, equations 17 to 21). In
 layover the areas of several places add up, as their echoes do; in shadow there is none.
 
-Facets stand on profiles of one row each, half a column wide at a middle height of the ground. Across a row a facet is
+Facets stand on profiles of one row each, a column wide at a middle height of the ground. Across a row a facet is
 as long as the row is; along it, its area is spread evenly over the columns between its two ends, so that no column is
 counted twice or left out however slopes stretch or compress them.
 """
@@ -24,18 +24,19 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
 from geomosaic.geo.grid import Window
 from geomosaic.geo.transform import Transform
 from geomosaic.resample.layover_shadow import shadowed
-from geomosaic.sensor.solve import image_to_ground
-from geomosaic.surface.model import Plane, Surface
-from geomosaic.types import AnyArray, BoolArray, FloatArray
+from geomosaic.sensor.solve import image_to_height
+from geomosaic.surface.model import Surface
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 # Pixels of a part that is computed at once. Wide ones: ground beside a part falls into it, along its rows.
-WIDTH, HEIGHT = 2048, 64
-# Facets to a column, and columns and rows between nodes of what is smooth.
-PER_COLUMN, STEP = 2, 32
+WIDTH, HEIGHT = 4096, 64
+# Columns and rows between nodes of what is smooth.
+STEP = 64
 # Metres between two heights whose ground places make the vertical.
 RISE = 1000.0
 _UP, _RIGHT = np.array([0.0, 0.0, RISE]), np.array([1.0, 0.0])
@@ -84,7 +85,8 @@ class IlluminatedArea:
             if found is not None:
                 self._parts.move_to_end(key)
                 return found
-        found = self._summed(part).astype(np.float32)
+        # Three digits are better than any DEM.
+        found = self._summed(part).astype(np.float16)
         with self._lock:
             self._parts[key] = found
             while sum(one.nbytes for one in self._parts.values()) > HELD:
@@ -139,6 +141,79 @@ class IlluminatedArea:
         return np.asarray(counted[:, last] > counted[:, first])
 
 
+def _moved(model: Any, crs: CRS, image: FloatArray, limits: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Places (N, 3) of image places (N, 2) at a middle height, and shifts (2, N, 2) of lowest and highest ground."""
+    there = image_to_height(model, image, 0.5 * sum(limits), crs)
+    to_model = Transform(crs, model.crs)
+    ends = [np.column_stack([there[:, :2], np.full(len(there), end)]) for end in limits]
+    return there, np.stack([model.ground_to_image(to_model(end)) for end in ends]) - image
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """Columns and rows, at a middle height, of the ground that can fall into a part or shade it."""
+
+    first: int
+    stop: int
+    row: int
+    stop_row: int
+    height: float
+
+    @classmethod
+    def of(cls, model: Any, crs: CRS, part: Window, limits: tuple[float, float]) -> _Reach | None:
+        """Reach of ground between two heights; None where the orbit does not pass it."""
+        low, high = limits
+        rows = max(part.row, 0.5), min(part.stop_row, model.size[1] - 0.5)
+        corners = np.array([[col, row] for col in (part.col, part.stop_col) for row in rows], dtype=np.float64)
+        there, shift = _moved(model, crs, corners, limits)
+        to_model = Transform(crs, model.crs)
+        corner = to_model(there)
+        beside = to_model(image_to_height(model, corners + _RIGHT, 0.5 * (low + high), crs))
+        line = (model.sensor_positions(corner) - corner).T
+        rise = (to_model(there + _UP) - corner).T
+        cosine = _dot(line, rise) / (_length(line) * _length(rise))
+        # Columns that a shadow is long, by height: the tangent of the incidence angle.
+        shade = np.sqrt(1.0 - cosine**2) / cosine / _length((beside - corner).T)
+        if not (np.isfinite(shift).all() and (shade > 0.0).all()):
+            return None
+        # Ground at column u shows at u + shift; what shades it stands nearer to the sensor, at smaller columns.
+        least, most = float(shift[..., 0].min()), float(shift[..., 0].max())
+        margin = 1 + math.ceil(float(np.abs(shift[..., 1]).max()))
+        return cls(
+            math.floor(part.col - most - 1.02 * (high - low) * float(shade.max())) - 2,
+            math.ceil(part.stop_col - least) + 2,
+            max(0, part.row - margin),
+            min(model.size[1], part.stop_row + margin),
+            0.5 * (low + high),
+        )
+
+    def nodes(self, step: int) -> tuple[FloatArray, FloatArray]:
+        """Columns and rows, about a step apart, from edge to edge and from the first to the last row's middle."""
+        columns, rows = self.stop - self.first, self.stop_row - self.row
+        return (
+            np.linspace(self.first, self.stop, max(2, math.ceil(columns / step) + 1)),
+            np.linspace(self.row + 0.5, self.stop_row - 0.5, max(2, math.ceil(rows / step) + 1)),
+        )
+
+    def relief(self, model: Any, surface: Surface) -> tuple[float, float] | None:
+        """Lowest and highest ground, by every eighth column and row and with a margin for what is between them.
+
+        A DEM may have far higher mountains elsewhere. None where no height is known.
+        """
+        cols, rows = self.nodes(8 * STEP)
+        image = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
+        places = image_to_height(model, image, self.height, surface.crs)[:, :2]
+        at = np.arange(self.row, self.stop_row + 1.0, 8.0), np.arange(self.first, self.stop + 1.0, 8.0)
+        xy = _bilinear(places.T.reshape(2, len(rows), len(cols)), (rows, cols), *at)
+        found = surface.height(xy.reshape(2, -1).T)
+        found = found[np.isfinite(found)]
+        if not len(found):
+            return None
+        low, high = float(found.min()), float(found.max())
+        margin = 0.1 * (high - low) + 5.0
+        return max(low - margin, surface.range[0]), min(high + margin, surface.range[1])
+
+
 @dataclass(frozen=True, eq=False)
 class _Level:
     """Ground at a middle height under rows of a scene and facets along them, and how the scene moves with height.
@@ -161,38 +236,20 @@ class _Level:
     @classmethod
     def under(cls, model: Any, surface: Surface, part: Window) -> _Level | None:
         """Level ground of all that can fall into a part or shade it; None where the orbit does not pass it."""
-        low, high = surface.range
-        height, half = 0.5 * (low + high), max(0.5 * (high - low), 1.0)
-        plane = Plane(surface.crs, height)
-        to_model = Transform(surface.crs, model.crs)
-
-        def moved(image: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Places at the middle height, and the image places (2, N, 2) of the lowest and the highest ground."""
-            there = image_to_ground(model, image, plane)
-            ends = [there + np.array([0.0, 0.0, end - height]) for end in (low, high)]
-            return there, np.stack([model.ground_to_image(to_model(end)) for end in ends]) - image
-
-        rows = max(part.row, 0.5), min(part.stop_row, model.size[1] - 0.5)
-        corners = np.array([[col, row] for col in (part.col, part.stop_col) for row in rows], dtype=np.float64)
-        there, shift = moved(corners)
-        corner, beside = to_model(there), to_model(image_to_ground(model, corners + _RIGHT, plane))
-        line = (model.sensor_positions(corner) - corner).T
-        rise = (to_model(there + _UP) - corner).T
-        cosine = _dot(line, rise) / (_length(line) * _length(rise))
-        # Columns that a shadow is long, by height: the tangent of the incidence angle.
-        shade = np.sqrt(1.0 - cosine**2) / cosine / _length((beside - corner).T)
-        if not (np.isfinite(shift).all() and (shade > 0.0).all()):
+        reach = _Reach.of(model, surface.crs, part, surface.range)
+        if reach is None:
             return None
-        # Ground at column u shows at u + shift; what shades it stands nearer to the sensor, at smaller columns.
-        least, most = float(shift[..., 0].min()), float(shift[..., 0].max())
-        margin = 1 + math.ceil(float(np.abs(shift[..., 1]).max()))
-        first = math.floor(part.col - most - 1.02 * (high - low) * float(shade.max())) - 2
-        stop = math.ceil(part.stop_col - least) + 2
-        row, stop_row = max(0, part.row - margin), min(model.size[1], part.stop_row + margin)
-        cols = first + np.arange((stop - first) * PER_COLUMN + 1) / PER_COLUMN
-        at_cols = np.linspace(first, stop, max(2, math.ceil((stop - first) / STEP) + 1))
-        at_rows = np.linspace(row + 0.5, stop_row - 0.5, max(2, math.ceil((stop_row - row) / STEP) + 1))
-        places, moves = moved(np.stack(np.meshgrid(at_cols, at_rows), axis=-1).reshape(-1, 2))
+        limits = reach.relief(model, surface)
+        reach = None if limits is None else _Reach.of(model, surface.crs, part, limits)
+        if reach is None or limits is None:
+            return None
+        first, stop, row, stop_row = reach.first, reach.stop, reach.row, reach.stop_row
+        height, half = 0.5 * sum(limits), max(0.5 * (limits[1] - limits[0]), 1.0)
+        to_model = Transform(surface.crs, model.crs)
+        cols = first + np.arange(stop - first + 1.0)
+        at_cols, at_rows = reach.nodes(STEP)
+        image = np.stack(np.meshgrid(at_cols, at_rows), axis=-1).reshape(-1, 2)
+        places, moves = _moved(model, surface.crs, image, limits)
         zero = to_model(places)
         up = (to_model(places + _UP) - zero) / RISE
         sensor = model.sensor_positions(zero)
@@ -205,8 +262,7 @@ class _Level:
         whole = row + 0.5 + np.arange(stop_row - row)
 
         def everywhere(values: FloatArray) -> FloatArray:
-            grid = np.moveaxis(values.reshape(*shape, -1), -1, 0)
-            return _linear(np.moveaxis(_linear(grid, at_cols, cols), 1, 2), at_rows, whole).swapaxes(1, 2)
+            return _bilinear(np.moveaxis(values.reshape(*shape, -1), -1, 0), (at_rows, at_cols), whole, cols)
 
         ground, lifted, seen_from = everywhere(zero), everywhere(up), everywhere(sensor)
         facet = np.cross(ground[:, 1, 0] - ground[:, 0, 0], ground[:, 0, 1] - ground[:, 0, 0])
@@ -255,12 +311,20 @@ def _spread(
     return total.reshape(shape)
 
 
-def _linear(values: FloatArray, nodes: FloatArray, at: FloatArray) -> FloatArray:
-    """Values (K, M, len(at)) between equidistant nodes, of values (K, M, nodes)."""
+def _bilinear(
+    values: FloatArray, nodes: tuple[FloatArray, FloatArray], rows: FloatArray, cols: FloatArray
+) -> FloatArray:
+    """Values (K, rows, cols) of (K, R, C) at nodes (R,) and (C,)."""
+    (down, lower), (across, right) = _between(nodes[0], rows), _between(nodes[1], cols)
+    lines = values[..., across] * (1.0 - right) + values[..., across + 1] * right
+    return np.asarray(lines[:, down] * (1.0 - lower)[:, None] + lines[:, down + 1] * lower[:, None])
+
+
+def _between(nodes: FloatArray, at: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Equidistant node before each place, and the part of the way to the next."""
     place = (at - nodes[0]) / (nodes[1] - nodes[0])
-    first = np.clip(place.astype(int), 0, len(nodes) - 2)
-    part = place - first
-    return np.asarray(values[..., first] * (1.0 - part) + values[..., first + 1] * part)
+    first = np.clip(place.astype(np.int64), 0, len(nodes) - 2)
+    return first, place - first
 
 
 def _within(part: Window, whole: Window) -> tuple[slice, slice]:

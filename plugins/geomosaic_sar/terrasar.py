@@ -160,7 +160,7 @@ def _by_power(terms: list[Element], path: str, where: str) -> list[float]:
     by_power = dict[int, float]()
     for index, term in enumerate(terms):
         power = term.get("exponent", str(index))
-        if not power.isdigit() or int(power) > _HIGHEST:
+        if not power.isdecimal() or len(power) > 2 or int(power) > _HIGHEST:
             raise InputError(f"a coefficient of <{path}> has the exponent '{power[:10]}'", where=where, hint=AGAIN)
         by_power[int(power)] = _coefficient(term.text or "", int(power), f"<{path}>", where)
     return [by_power.get(power, 0.0) for power in range(max(by_power) + 1)]

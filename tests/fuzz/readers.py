@@ -19,7 +19,7 @@ from helpers import PinholeOverMap
 from refined_rig import Agile
 from rpc_rig import digital_globe, ossim, rpb, rpc_txt
 from rpc_rig import dimap as rpc_dimap
-from sar_annotation_rig import published, terrasar
+from sar_annotation_rig import calibration, noise, published, terrasar
 from sar_rig import Scene as RadarScene
 from spot_rig import Satellite
 
@@ -67,6 +67,7 @@ from geomosaic.sheets.svg import read_svg
 from geomosaic_pushbroom.metadata import read_bytes
 from geomosaic_rpc.build import read_rpc_bytes
 from geomosaic_sar.metadata import read_bytes as read_radar_bytes
+from geomosaic_sar.sentinel1_calibration import read_calibration_bytes, read_noise_bytes
 
 MAP = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
 SPOTS = "#CRS: EPSG:32633\nid,x,y,z\ntop,500100,5000200,312.5\nsaddle,500300.5,5000150,287\n"
@@ -502,6 +503,12 @@ def scene(path: Path) -> object:
     return read_bytes(path.read_bytes(), path.name)
 
 
+# Calibration of radar.
+LINES, PIXELS = np.array([0.0, 30.0, 60.0]), np.array([0.0, 40.0, 79.0])
+TABLE = np.array([[250.0, 260.0, 270.0]] * 3)
+NOISE_PARTS = [((0, 0, 60, 40), np.array([0.0, 60.0]), np.array([1.0, 1.2]))]
+CALIBRATED = {"calibration": {"quantity": "beta0", "factor": [1e-5, 2e-5], "columns": [0, 79], "noise": 30.0}}
+
 READERS |= {
     "RPC text": ("a_RPC.TXT", rpc_txt, of_bytes(read_rpc_bytes)),
     "RPB": ("a.RPB", rpb, of_bytes(read_rpc_bytes)),
@@ -512,13 +519,20 @@ READERS |= {
     "OSSIM scene": ("a.geom", lambda: Satellite().keyword_list(), scene),
     "DIMAP 2": ("DIM_a.XML", lambda: Agile().refined(table=True), scene),
     "Sentinel-1": ("a.xml", lambda: published().xml(), of_bytes(read_radar_bytes)),
-    "TerraSAR-X": ("a.xml", lambda: terrasar(RadarScene(), "MGD"), of_bytes(read_radar_bytes)),
-    "radar table": ("a.radar.json", lambda: json.dumps(RadarScene().table()), of_bytes(read_radar_bytes)),
+    "TerraSAR-X": ("a.xml", lambda: terrasar(RadarScene(), "MGD", factors={"HH": 1e-5}), of_bytes(read_radar_bytes)),
+    "radar table": ("a.radar.json", lambda: json.dumps(RadarScene().table() | CALIBRATED), of_bytes(read_radar_bytes)),
     "radar table, ground range": (
         "a.radar.json",
         lambda: json.dumps(RadarScene().ground_table()[0]),
         of_bytes(read_radar_bytes),
     ),
+    "Sentinel-1 calibration": (
+        "calibration-a.xml",
+        lambda: calibration(LINES, PIXELS, {"sigmaNought": TABLE, "betaNought": TABLE, "gamma": TABLE}),
+        of_bytes(lambda data, where: read_calibration_bytes(data, where, "sigma0")),
+    ),
+    "Sentinel-1 noise": ("noise-a.xml", lambda: noise(LINES, PIXELS, TABLE, NOISE_PARTS), of_bytes(read_noise_bytes)),
+    "Sentinel-1 noise, old": ("noise-a.xml", lambda: noise(LINES, PIXELS, TABLE), of_bytes(read_noise_bytes)),
     "WorldView": ("a.XML", lambda: Agile().basic(0.5), scene),
     "QML": ("a.qml", lambda: QML, style),
     "SLD": ("a.sld", lambda: SLD, style),
