@@ -61,7 +61,8 @@ class CalibratedValues:
             Of the image.
         """
         out = np.empty(values.shape, dtype=np.float32)
-        cols = np.arange(window.col, window.stop_col) + 0.5
+        cols = np.arange(window.col + 0.5, window.stop_col)
+        rows = np.arange(window.row + 0.5, window.stop_row)
         many = max(1, _STRIP // max(1, window.width))
         for first in range(0, window.height, many):
             part = values[first : first + many]
@@ -70,7 +71,7 @@ class CalibratedValues:
                 np.multiply(part, part, out=here, dtype=np.float32)
             else:
                 here[:] = part
-            factor, offset = self.calibration.at(cols, np.arange(len(part)) + (window.row + first + 0.5))
+            factor, offset = self.calibration.at(cols, rows[first : first + many])
             here *= factor.astype(np.float32)[..., None]
             if offset.any():
                 here += offset.astype(np.float32)[..., None]

@@ -259,7 +259,7 @@ class _Level:
             return None
         shape = len(at_rows), len(at_cols)
         step = np.gradient(np.linalg.norm(sensor - zero, axis=1).reshape(shape), at_cols, axis=1)
-        whole = row + 0.5 + np.arange(stop_row - row)
+        whole = np.arange(row + 0.5, stop_row)
 
         def everywhere(values: FloatArray) -> FloatArray:
             return _bilinear(np.moveaxis(values.reshape(*shape, -1), -1, 0), (at_rows, at_cols), whole, cols)
