@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from raster_rig import NORTH_UP, digest, grid_of, holes, picture, whole, write_r
 
 from geomosaic.errors import InputError, OutputError, OutputExistsError
 from geomosaic.geo.grid import Window
-from geomosaic.raster.cog import tiff
+from geomosaic.raster.cog import codec, tiff
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.cog.overviews import halve
 from geomosaic.raster.creation_options import METHODS
@@ -147,6 +148,54 @@ def test_halving_adds_no_brightness():
     assert abs((got[:, :, 0] - exact).mean()) < 0.01
     negative, _ = halve(values.astype(np.int16) - 500, None, "average")
     np.testing.assert_array_equal(negative[:, :, 0], np.rint(exact - 500))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16", "int32", "float32"])
+@pytest.mark.parametrize("masked", [False, True])
+def test_halving_takes_the_mean_of_the_valid_pixels_rounded_to_even(dtype, masked):
+    rng, whole = np.random.default_rng(5), np.dtype(dtype).kind != "f"
+    low, high = (np.iinfo(dtype).min, np.iinfo(dtype).max) if whole else (-1000, 1000)
+    # Few values, so that ties are many, and those at the ends of the range.
+    pick = np.array([low, low + 1, 0, 1, 2, 3, high - 1, high], dtype=dtype)
+    values = rng.choice(pick, (64, 96, 3))
+    valid = rng.integers(0, 2, (64, 96)).astype(np.uint8)
+    half, seen = halve(values, valid if masked else None, "average")
+    assert half.dtype == values.dtype
+    assert (seen is not None) == masked
+    for row, col in np.ndindex(32, 48):
+        four = np.s_[2 * row : 2 * row + 2, 2 * col : 2 * col + 2]
+        known = valid[four] > 0 if masked else np.ones((2, 2), dtype=bool)
+        assert seen is None or seen[row, col] == known.any()
+        for band in range(3):
+            one = [Fraction(float(value)) for value in values[four][..., band][known]]
+            if one:
+                mean = sum(one) / len(one)
+                assert half[row, col, band] == (round(mean) if whole else np.float32(float(mean)))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "float32"])
+@pytest.mark.parametrize("bands", [1, 3])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"COMPRESS": "DEFLATE", "ZLEVEL": "1", "PREDICTOR": "2"},
+        {"COMPRESS": "DEFLATE", "ZLEVEL": "6", "PREDICTOR": "1"},
+        {"COMPRESS": "ZSTD", "ZSTD_LEVEL": "1", "PREDICTOR": "2"},
+        {"COMPRESS": "LZW", "PREDICTOR": "2"},
+    ],
+)
+def test_a_tile_has_the_bytes_that_gdal_gives_it(tmp_path, dtype, bands, options):
+    rng, side = np.random.default_rng(6), codec.BLOCK
+    steps = rng.integers(-3, 4, (side, side, bands)).cumsum(axis=1) + 1000
+    values = (steps % 200 if dtype == "uint8" else steps).astype(dtype)
+    profile = codec.tile_profile(bands, dtype, options)
+    path = tmp_path / "one.tif"
+    with rasterio.open(path, "w", crs="EPSG:32631", transform=NORTH_UP, **profile) as file:
+        file.write(np.moveaxis(values, -1, 0))
+    with path.open("rb") as file:
+        directory = tiff.read_directories(file)[0]
+    (offset,), (count,) = (directory[tag].integers for tag in (tiff.TILE_OFFSETS, tiff.TILE_COUNTS))
+    assert codec.encode_tile(values, profile) == path.read_bytes()[offset : offset + count]
 
 
 def test_label_overviews_hold_labels_only(tmp_path):

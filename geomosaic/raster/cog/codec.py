@@ -127,7 +127,30 @@ def encode_tile(values: AnyArray, profile: Mapping[str, Any], *, categorical: bo
         steps = values.copy()
         steps[:, 1:] -= values[:, :-1]
         return zlib.compress(steps.tobytes(), int(profile["zlevel"]))
+    if values.shape[2] > 1 and _is_of_bytes(values.dtype, profile):
+        return _encode_bytes(values, profile)
     return _one_tile_file(values, profile)
+
+
+def _is_of_bytes(dtype: np.dtype[Any], profile: Mapping[str, Any]) -> bool:
+    """Whether a tile is compressed as bytes, whatever its bands and type."""
+    known = profile["compress"] in ("DEFLATE", "ZSTD", "LZW", "LZMA") and "discard_lsb" not in profile
+    predictor = profile.get("predictor", "1")
+    return known and (predictor == "1" or (predictor == "2" and dtype.kind in "iu"))
+
+
+def _encode_bytes(values: AnyArray, profile: Mapping[str, Any]) -> bytes:
+    """Compressed bytes of an interleaved tile, the same as GDAL makes of its bands."""
+    # GDAL takes the bands apart and puts them together again: a fifth of the time with deflate at level 1, a third with
+    # Zstandard. One band of bytes it passes on as it is.
+    if profile.get("predictor") == "2":  # differences from pixel to pixel, as libtiff has them
+        steps = values.copy()
+        steps[:, 1:] -= values[:, :-1]
+        values = steps
+    samples = values.reshape(BLOCK, -1).view(np.uint8)
+    options = {key: value for key, value in profile.items() if key not in ("photometric", "alpha")}
+    one = {"count": 1, "dtype": "uint8", "width": samples.shape[1], "blockxsize": samples.shape[1], "predictor": "1"}
+    return _one_tile_file(samples[..., None], {**options, **one})
 
 
 @lru_cache(maxsize=256)

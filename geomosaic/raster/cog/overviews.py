@@ -94,23 +94,53 @@ def halve(values: AnyArray, valid: ByteArray | None, how: str) -> tuple[AnyArray
     if how == "rms":
         squares, valid = halve(np.square(values, dtype=np.float64), valid, "average")
         return _rounded(np.sqrt(squares), values.dtype), valid
-    kind = np.int32 if values.dtype.kind in "ui" and values.dtype.itemsize <= 2 else np.float64
+    if values.dtype.kind in "ui" and values.dtype.itemsize <= 2:
+        return _halve_whole(values, valid)
     if valid is not None:
         values = np.where(valid[:, :, None] != 0, values, values.dtype.type(0))
-    # Whole rows first: they lie together in memory.
-    rows = np.add(values[0::2], values[1::2], dtype=kind)
-    total = np.empty((rows.shape[0], rows.shape[1] // 2, rows.shape[2]), dtype=kind)
-    for band in range(rows.shape[2]):
-        np.add(rows[:, 0::2, band], rows[:, 1::2, band], out=total[:, :, band])
+    total = _of_four(values, np.float64)
     if valid is None:
-        if kind is np.int32:
-            # Ties to even in integers: 1 is added where the quotient is even, 2 where it is odd, before the last two
-            # bits go.
-            return ((total + 1 + ((total >> 2) & 1)) >> 2).astype(values.dtype), None
         return _rounded(total * 0.25, values.dtype), None
-    count = valid[0::2, 0::2] + valid[0::2, 1::2] + valid[1::2, 0::2] + valid[1::2, 1::2]
+    count = _of_four(valid)
     means = _rounded(total / np.maximum(count, 1)[:, :, None], values.dtype)
     return means, (count > 0).view(np.uint8)
+
+
+# By number of the pixels that are valid; a third of a whole number is never near a tie, the others are exact.
+_SHARES = np.array([0.0, 1.0, 1 / 2, 1 / 3, 1 / 4], dtype=np.float32)
+
+
+def _halve_whole(values: AnyArray, valid: ByteArray | None) -> tuple[AnyArray, ByteArray | None]:
+    """Means of whole numbers of up to 16 bits, whose sums need twice as many at most, and floats of 32."""
+    wide = np.int16 if values.dtype.itemsize == 1 else np.int32
+    if valid is None:
+        total = _of_four(values, wide)
+        # Ties to even: 1 is added where the quotient is even, 2 where it is odd, before the last two bits go.
+        odd = (total >> 2) & 1
+        total += odd
+        total += 1
+        total >>= 2
+        return total.astype(values.dtype), None
+    count, known = _of_four(valid), valid.astype(values.dtype, copy=False)
+    share, means = _SHARES[count], np.empty((*count.shape, values.shape[2]), dtype=values.dtype)
+    for band in range(values.shape[2]):  # arrays whose last axis is short take several times as long
+        mean = _of_four(values[:, :, band] * known, wide).astype(np.float32)
+        mean *= share
+        means[:, :, band] = np.rint(mean, out=mean)
+    return means, (count > 0).view(np.uint8)
+
+
+def _of_four(values: AnyArray, wide: type[np.generic] | None = None) -> AnyArray:
+    """Sums of four pixels each of an array (2R, 2C) or (2R, 2C, bands), of another type where one is given."""
+    # Whole rows first: they lie together in memory.
+    rows = values[0::2].astype(wide or values.dtype)
+    rows += values[1::2]
+    if rows.ndim == 2:
+        return rows[:, 0::2] + rows[:, 1::2]
+    total: AnyArray = np.empty((rows.shape[0], rows.shape[1] // 2, rows.shape[2]), dtype=rows.dtype)
+    for band in range(rows.shape[2]):
+        np.add(rows[:, 0::2, band], rows[:, 1::2, band], out=total[:, :, band])
+    return total
 
 
 def _rounded(means: AnyArray, dtype: np.dtype[np.generic]) -> AnyArray:
