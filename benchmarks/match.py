@@ -31,9 +31,8 @@ GSD, TILT = 0.3, 10.0
 
 def scene(small: bool) -> tuple[dict[str, Any], Any, list[Any]]:
     """Camera, scenery and flight plan."""
+    from scenery import Scenery, mixed_block
     from scenery_rig import GROUND, camera_of
-
-    from geomosaic.testing.synthetic.scenery import Scenery, mixed_block
 
     size, layers = SMALL if small else FULL
     camera = camera_of(size)
@@ -112,9 +111,8 @@ def tracks_of(kept: Any) -> tuple[Any, Any, Any]:
 def judge(folder: Path, out: Path, small: bool) -> dict[str, Any]:
     """What tie points are worth: how many, how long their tracks, how far from the truth."""
     import numpy as np
+    from scenery import tie_errors
     from scenery_rig import GROUND
-
-    from geomosaic.testing.synthetic.scenery import tie_errors
 
     camera, _, photos = scene(small)
     known = {f"{photo.name}.jpg": photo.camera(camera, GROUND) for photo in photos}

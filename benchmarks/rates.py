@@ -36,10 +36,10 @@ MATCH_MB = 2.75
 
 def scene(small: bool) -> tuple[dict[str, Any], Any, list[Any], int]:
     """Camera, scenery, flight and number of photos in a strip."""
+    from scenery import Scenery
     from scenery_rig import GROUND, camera_of
 
     from geomosaic.testing.synthetic import FlightPlan, synthetic_block
-    from geomosaic.testing.synthetic.scenery import Scenery
 
     size, (strips, each) = SMALL if small else FULL
     camera = camera_of(size)

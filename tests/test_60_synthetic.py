@@ -12,6 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from affine import Affine
+from scenery import PhotoRadiometry, Scenery, mixed_block, photograph, tie_errors, water
 from scipy.ndimage import map_coordinates
 
 from geomosaic.errors import InputError, SensorError
@@ -31,7 +32,6 @@ from geomosaic.testing.synthetic import (
     synthetic_block,
     trace,
 )
-from geomosaic.testing.synthetic.scenery import PhotoRadiometry, Scenery, mixed_block, photograph, tie_errors, water
 
 ROOT = Path(__file__).resolve().parent.parent
 CRS = with_heights(parse_crs("EPSG:32633"), "egm96")

@@ -124,7 +124,6 @@ OWN_THREADS = {
     "sheets/series/make.py": "not yet",
     "testing/conformance.py": "a test of threads",
     "testing/synthetic/photo.py": "photos for tests",
-    "testing/synthetic/scenery.py": "photos for tests",
     "tie_points/stages.py": "not yet",
 }
 

@@ -10,11 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scenery import Scenery, mixed_block
 from scenery_rig import block_of, camera_of, truth_of, write_photos
 
 import geomosaic as gm
 from geomosaic.testing.synthetic import FlightPlan, SyntheticPhoto, synthetic_block
-from geomosaic.testing.synthetic.scenery import Scenery, mixed_block
 
 # Folder for the photos of the tests at full size, 250 MB each; without it, they are left out.
 FOLDER = os.environ.get("GEOMOSAIC_FULL_SIZE", "")

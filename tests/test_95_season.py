@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import reference_rig as rig
+from scenery import Scenery
 from scenery_rig import GROUND, block_of, camera_of, truth_of
 from scipy.ndimage import gaussian_filter
 from season_rig import Date, clouds_of, write_dates
@@ -15,7 +16,6 @@ from season_rig import Date, clouds_of, write_dates
 import geomosaic as gm
 from geomosaic.matching.features import LEAST_CONTRAST
 from geomosaic.testing.synthetic import FlightPlan, synthetic_block
-from geomosaic.testing.synthetic.scenery import Scenery
 
 SUMMER = Date(1, shadows=0.12, clouds=0.2)
 WINTER = Date(2, recoloured=0.8, reversed=0.25, snow=0.15, shadows=0.12, clouds=0.2)

@@ -51,12 +51,6 @@ class Lens(Protocol):
             Camera axes: right, down, ahead, in any unit.
         """
 
-    def distort(self, xy: FloatArray) -> FloatArray:
-        """Ideal (N, 2) to distorted (N, 2)."""
-
-    def undistort(self, xy: FloatArray) -> FloatArray:
-        """Distorted (N, 2) to ideal (N, 2)."""
-
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
 
@@ -146,16 +140,6 @@ class Perspective(NamedCoefficients):
         """Derivatives of (u, v) by the K coefficients, (N, 2, K)."""
         shrink = 1.0 / np.where(z > NEAREST_DEPTH, z, np.nan)
         return self._coefficient_slopes(x * shrink, y * shrink)
-
-    def distort(self, xy: FloatArray) -> FloatArray:
-        """Ideal (N, 2) to distorted (N, 2)."""
-        xy = np.asarray(xy, dtype=np.float64)
-        return np.column_stack(self._distort(xy[:, 0].copy(), xy[:, 1].copy()))
-
-    def undistort(self, xy: FloatArray) -> FloatArray:
-        """Distorted (N, 2) to ideal (N, 2)."""
-        xy = np.asarray(xy, dtype=np.float64)
-        return np.column_stack(self._undistort(xy[:, 0].copy(), xy[:, 1].copy()))
 
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""

@@ -141,18 +141,6 @@ class Fisheye(NamedCoefficients):
         slopes: FloatArray = azimuth[:, :, None] * by_radius[:, None, :]
         return slopes
 
-    def distort(self, xy: FloatArray) -> FloatArray:
-        """Ideal perspective (N, 2), angles below 90 degrees, to distorted (N, 2)."""
-        xy = np.asarray(xy, dtype=np.float64)
-        return np.column_stack(self.project(xy[:, 0], xy[:, 1], np.ones(len(xy))))
-
-    def undistort(self, xy: FloatArray) -> FloatArray:
-        """Distorted (N, 2) to ideal perspective (N, 2); NaN from 90 degrees on."""
-        xy = np.asarray(xy, dtype=np.float64)
-        x, y, z = self.unproject(xy[:, 0], xy[:, 1])
-        z = np.where(z > 0.0, z, np.nan)
-        return np.column_stack([x / z, y / z])
-
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         return self._angle(np.hypot(u, v)) <= self.fold

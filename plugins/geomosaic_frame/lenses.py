@@ -74,14 +74,6 @@ class DecentredLens:
         by_centre = np.eye(2) - self.lens.derivatives(*moved)[:, :, :2] * z[:, None, None]
         return np.concatenate([self.lens.by_coefficients(*moved), by_centre], axis=2)
 
-    def distort(self, xy: FloatArray) -> FloatArray:
-        """Ideal (N, 2) to distorted (N, 2)."""
-        return self.lens.distort(np.asarray(xy) - self.centre) + self.centre
-
-    def undistort(self, xy: FloatArray) -> FloatArray:
-        """Distorted (N, 2) to ideal (N, 2)."""
-        return self.lens.undistort(np.asarray(xy) - self.centre) + self.centre
-
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         return self.lens.in_calibrated_range(u - self.centre[0], v - self.centre[1])
@@ -145,15 +137,6 @@ class ShearedLens:
         own = self.lens.by_coefficients(x, y, z).copy()
         own[:, 0] += self.shear * own[:, 1]
         return np.concatenate([own, np.column_stack([v, np.zeros_like(v)])[:, :, None]], axis=2)
-
-    def distort(self, xy: FloatArray) -> FloatArray:
-        """Ideal (N, 2) to distorted (N, 2)."""
-        out: FloatArray = self.lens.distort(xy) @ np.array([[1.0, 0.0], [self.shear, 1.0]])
-        return out
-
-    def undistort(self, xy: FloatArray) -> FloatArray:
-        """Distorted (N, 2) to ideal (N, 2)."""
-        return self.lens.undistort(np.asarray(xy) @ np.array([[1.0, 0.0], [-self.shear, 1.0]]))
 
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""

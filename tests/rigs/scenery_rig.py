@@ -9,12 +9,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scenery import PhotoRadiometry, Scenery, photograph, tie_errors, water
 
 import geomosaic as gm
 from geomosaic.geo.crs import parse_crs, with_heights
 from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.testing.synthetic import CAMERA, AnalyticGround, SyntheticPhoto, intersect
-from geomosaic.testing.synthetic.scenery import PhotoRadiometry, Scenery, photograph, tie_errors, water
 
 GROUND = AnalyticGround(with_heights(parse_crs("EPSG:32633"), "egm96"), origin=(400_000.0, 5_500_000.0))
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scenery import PhotoRadiometry, Scenery, photograph
 from scenery_rig import GROUND
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from geomosaic.testing.synthetic import AnalyticGround, SyntheticPhoto, intersect
-from geomosaic.testing.synthetic.scenery import PhotoRadiometry, Scenery, photograph
 
 # Metres between nodes of the fields that say where a date changes what; nodes along a side, of a period of 2 km.
 STEP, SIDE = 8.0, 256

@@ -67,10 +67,10 @@ def _seen(marker: str) -> bool:
 
 def small_block(folder: Path, strips: int, each: int) -> gm.Block:
     """Block of small synthetic photos, 60 and 30 % overlap, whose orientation is known."""
+    from scenery import Scenery
     from scenery_rig import GROUND, camera_of, write_photos
 
     from geomosaic.testing.synthetic import FlightPlan, synthetic_block
-    from geomosaic.testing.synthetic.scenery import Scenery
 
     camera = camera_of((160, 120))
     photos = synthetic_block(GROUND, camera, FlightPlan(strips, each, 0.6, 0.3, gsd=0.3))
