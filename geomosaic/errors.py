@@ -19,8 +19,11 @@ GeomosaicError                what, where, hint; exit code 1
 from __future__ import annotations
 
 import re
+import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 # Characters of a word quoted in a message and of a whole message, of which the rest says nothing more.
 _QUOTED, _LONGEST = 400, 2000
@@ -144,6 +147,20 @@ class Interrupted(GeomosaicError):
 
 class GeomosaicWarning(UserWarning):
     """Something the user should know; the work goes on."""
+
+
+def warn(text: str) -> None:
+    """Warning of what the user should know, at the line outside the program that led to it.
+
+    Parameters
+    ----------
+    text : str
+    """
+    level = 1
+    frame: FrameType | None = sys._getframe()
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("geomosaic"):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, GeomosaicWarning, stacklevel=level)
 
 
 @contextmanager

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError, listed
+from geomosaic.errors import InputError, listed, warn
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.declarations import image_paths, read_camera
 from geomosaic.matching.marks import Mark, MarkTemplate, locate_mark
@@ -224,22 +223,18 @@ def find_fiducials(
         chosen = alike[0]
         found[scan.name] = ways[chosen]
         if chosen:
-            warnings.warn(
+            warn(
                 f"{scan.name}: the marks are numbered for a film turned by {turns[chosen]:g}°: so {counts[chosen]} are "
                 f"found and fit to {fits[chosen]:.0f} µm, unturned {counts[0]}"
-                + (f" to {fits[0]:.0f} µm" if np.isfinite(fits[0]) else ""),
-                GeomosaicWarning,
-                stacklevel=2,
+                + (f" to {fits[0]:.0f} µm" if np.isfinite(fits[0]) else "")
             )
         # Marks of an even frame never tell, and film is laid unturned as a rule: said each time, it would tell nothing.
         if counts[best] and any(chosen or not _even(known, turns[i]) for i in alike[1:]):
             doubtful.append(scan.name)
     if doubtful:
-        warnings.warn(
+        warn(
             f"{listed(doubtful)}: the marks fit the certificate as well with the film turned by other right angles; if "
-            "the data strip shows that it lies so, say `turned`",
-            GeomosaicWarning,
-            stacklevel=2,
+            "the data strip shows that it lies so, say `turned`"
         )
     if file is not None:
         _write_marks(file, found)

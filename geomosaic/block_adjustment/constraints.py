@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geomosaic.block_adjustment.measurements import Measurements, image_numbers
-from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean, listed
+from geomosaic.errors import InputError, counted, did_you_mean, listed, warn
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
@@ -160,7 +159,7 @@ def _members(path: Path, kind: str, number: dict[str, int]) -> _Members:
         raise InputError(f"no {kind} has enough points", where=str(path), hint=f"{more}: add some")
     if idle:
         text = f"{path}: {counted(len(idle), kind)} with too few points, left out: {listed(idle, 6)}; {more}"
-        warnings.warn(text, GeomosaicWarning, stacklevel=5)
+        warn(text)
     kept = [(point, name, sigma) for name, own in rows.items() if name not in idle for point, (sigma, _) in own.items()]
     return _Members(
         np.array([point for point, *_ in kept]), [name for _, name, _ in kept], np.array([sigma for *_, sigma in kept])

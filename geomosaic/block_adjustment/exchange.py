@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from pyproj import CRS
 from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.measurements import Measurements
 from geomosaic.block_adjustment.start import StartBlock
-from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
+from geomosaic.errors import InputError, counted, listed, warn
 from geomosaic.geo.crs import geographic, is_local
 from geomosaic.geo.transform import Transform
 from geomosaic.interchange.formats import WRITERS, write_reconstruction
@@ -59,7 +58,7 @@ def reconstruction_of(
     left_out = [scene.name for scene, at in zip(scenes, index, strict=True) if at < 0]
     if left_out:
         text = f"{counted(len(left_out), 'image')} without one projection centre left out: {listed(left_out)}"
-        warnings.warn(text, GeomosaicWarning, stacklevel=3)
+        warn(text)
     xyz = problem.frame.from_ground(solution.ground)
     good = (index[measured.image] >= 0) & (solution.adjustment.state.weights[0] > 0.0)
     seen = ImagePoints(index[measured.image[good]], measured.point[good], measured.colrow[good], measured.sigma[good])
@@ -102,5 +101,5 @@ def write_exports(
             written[format] = home
         except InputError as error:
             # The adjustment stands, whatever another program's format has no place for.
-            warnings.warn(f"not exported as {format}: {error}", GeomosaicWarning, stacklevel=3)
+            warn(f"not exported as {format}: {error}")
     return written

@@ -51,13 +51,11 @@ class Observed:
         Of strips, mountings, lakes, planes, lines and rigs.
     kept : tuple of int
         Points that several unknowns of one observation share.
-    notes : tuple of str
     """
 
     groups: tuple[Group, ...]
     further: tuple[Unknowns, ...]
     kept: tuple[int, ...]
-    notes: tuple[str, ...]
 
 
 def observed(
@@ -102,7 +100,7 @@ def observed(
         groups += of_rigs(start.names, poses, options.rigs, further)
     ends = [np.concatenate([group.first, group.second]) for group in groups if isinstance(group, Distances)]
     kept = tuple(sorted({point for each in ends for point in each.tolist()}))
-    return Observed(tuple(groups), tuple(further), kept, ())
+    return Observed(tuple(groups), tuple(further), kept)
 
 
 def control_group(measured: Measurements, frame: BlockFrame, points: FloatArray) -> GroundControl:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint
-from geomosaic.errors import GeomosaicWarning, HeightDatumError, InputError, counted, did_you_mean, listed
+from geomosaic.errors import HeightDatumError, InputError, counted, did_you_mean, listed, warn
 from geomosaic.geo.crs import has_heights, in_degrees
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.control_diagnostics import refuse_misplaced
@@ -150,7 +149,7 @@ def control_of(parts: Sequence[Block], images: Sequence[str], ground: CRS) -> li
             if table and others:  # a table without any point is told of by its reader
                 text = f"{counted(sum(others.values()), 'measurement')} of control points left out, in "
                 text = f"{where}: {text}{images_not_of_the_block(others, images)}"
-                warnings.warn(text, GeomosaicWarning, stacklevel=4)
+                warn(text)
             points = list(table)
         whole = [point for point in points if np.isfinite(point.xyz).all()]
         if whole and not part.trusted:
@@ -384,7 +383,7 @@ def _report_other_images(others: Mapping[str, int], names: Sequence[str], used: 
         what = f"no measurement is of an image of the block; the tie points have {listed(some, 4)}"
         raise InputError(what, where="`ties`", hint=hint)
     rows = counted(sum(others.values()), "tie point measurement")
-    warnings.warn(f"{rows} left out, in {images_not_of_the_block(others, names)}", GeomosaicWarning, stacklevel=5)
+    warn(f"{rows} left out, in {images_not_of_the_block(others, names)}")
 
 
 def _spread_out(colrow: FloatArray, sizes: FloatArray) -> None:

@@ -29,7 +29,7 @@ from geomosaic.block_adjustment.start import (
     unknown_images,
     with_interior,
 )
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
+from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed, warn
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.crs import is_local
 from geomosaic.inputs.control_diagnostics import likeliest_cause
@@ -140,7 +140,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     if options.interior or options.self_calibration:
         check_cameras(start, parts)
         for note in unknown_images(start, options.interior):
-            warnings.warn(note, GeomosaicWarning, stacklevel=3)
+            warn(note)
     stages("images")
     control = control_of(parts, start.names, start.ground)
     sizes = {scene.name: scene.model.size for scene in start.scenes}
@@ -153,7 +153,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     measured, notes = measurements(sizes, ties, control, options)
     notes += heightless_points(start, measured) if options.dem_sigma is None else []
     for note in notes:
-        warnings.warn(note, GeomosaicWarning, stacklevel=3)
+        warn(note)
     images = DeterminedImages.of(start, measured, options)
     stages("measurements")
     while True:
@@ -171,7 +171,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     aside, of_conflicts = [images.text] if images.aside else [], [each.text for each in conflicts]
     aside += _held_cameras(images)
     for note in (*aside, *remarks, *_losses(start.names, found), *unit_errors(start, found), *of_conflicts):
-        warnings.warn(note, GeomosaicWarning, stacklevel=3)
+        warn(note)
     stages("solution")
     solution = _solution(images, found)
     own = [point for point in control if point.image not in images.aside]
@@ -182,7 +182,7 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     )
     offset = solved.height_offset
     if offset is not None and offset.significant and options.dem_sigma is None:  # observed, it is told already
-        warnings.warn(offset.text, GeomosaicWarning, stacklevel=3)
+        warn(offset.text)
     return solved
 
 
@@ -342,7 +342,7 @@ def _problem(
     if options.position_sigma is not None and _misfit(begun, measured, frame)[0]:
         begun = _from_ties(unoriented, begun, measured, sigma, frame, fixed_images(start, options.fixed))
     for note in begun.notes:
-        warnings.warn(note, GeomosaicWarning, stacklevel=4)
+        warn(note)
     points, words = _placed(begun, measured, frame), ""
     seen = observed(start, begun.models, measured, frame, points, options)
     if free and np.isfinite(begun.points).all(axis=1).any():

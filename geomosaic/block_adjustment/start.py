@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +11,7 @@ from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
 from geomosaic.block_adjustment.measurements import Measurements
-from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
+from geomosaic.errors import InputError, counted, listed, warn
 from geomosaic.geo.crs import geographic, has_heights, horizontal, in_degrees, is_local, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block, join_blocks
@@ -491,7 +490,7 @@ def _without_foreign_positions(start: StartBlock, controlled: bool) -> StartBloc
         f"{counted(len(some), 'camera position')} far from all others, not used: {listed(some, 6)}; tie "
         "points place these photos, or they are set aside. Correct them, or leave their fields empty"
     )
-    warnings.warn(text, GeomosaicWarning, stacklevel=4)
+    warn(text)
     oriented, placed = start.oriented.copy(), start.placed.copy()
     oriented[which[far]] = placed[which[far]] = False
     return replace(start, oriented=oriented, placed=placed)

@@ -11,7 +11,6 @@ coupled them: good for the share of a measurement that others check, and no accu
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning
+from geomosaic.errors import warn
 from geomosaic.estimation.envelope import TILE, Envelope
 from geomosaic.estimation.observations import Observations
 from geomosaic.kernels.library import native
@@ -391,11 +390,9 @@ class FactoredNormals:
             turned = self._near(left[None])[0]
             before, size = size, float((left * turned).sum())
             way = turned + size / before * way
-        warnings.warn(
+        warn(
             f"conjugate gradients ended after {ROUNDS} rounds with {(size / first) ** 0.5:.1g} of the equations left: "
-            "the block is determined badly",
-            GeomosaicWarning,
-            stacklevel=2,
+            "the block is determined badly"
         )
         return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage, footprint
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
+from geomosaic.errors import InputError, SolveError, counted, warn
 from geomosaic.geo.crs import crs_code, height_name, horizontal, parse_crs
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block, block_of, on_ground
@@ -249,7 +248,7 @@ def oriented(
     if block.crs is not None and median_distance([replace(scene, model=model)], control, block.crs) > FAR:
         # Of the image as it was: adjusted to wrong points it tells nothing.
         for points in control_discrepancies(inputs, block):
-            warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
+            warn(points.text)
     return replace(scene, model=model), covariance, note
 
 
@@ -383,11 +382,9 @@ def draw_vectors(
     made = draw(view, list(frame.geometry.values), bounds, hidden=request.mark_hidden)
     if len(frame) and not made.geometries:
         theirs, ours = (", ".join(f"{value:.8g}" for value in box) for box in (frame.total_bounds, bounds))
-        warnings.warn(
+        warn(
             f"nothing of {source.name} is seen in the photo: it lies at {theirs}, the photo shows no more than "
-            f"{ours} (left, bottom, right, top in {flat.name}); is that its CRS? else say `src_crs`",
-            GeomosaicWarning,
-            stacklevel=2,
+            f"{ours} (left, bottom, right, top in {flat.name}); is that its CRS? else say `src_crs`"
         )
     if file.suffix.lower() == ".csv":
         _write_drawn_table(file, overwrite, made.geometries, made.feature, made.hidden, axes.xy)

@@ -126,37 +126,22 @@ def prior_normal_matrix(terms: Collection[str], cameras: int) -> FloatArray:
         normal[here, here] = 1 / 0.5**2
         at += TREND
     if "hotspot" in terms:
-        normal[at:, at:] = np.eye(NODES * NODES) / 0.5**2 + roughness(NODES, NODES) / 0.1**2
+        normal[at:, at:] = np.eye(NODES * NODES) / 0.5**2 + roughness() / 0.1**2
     return normal
 
 
-def roughness(rows: int, cols: int) -> FloatArray:
+def roughness() -> FloatArray:
     """Normal matrix of the bending energy of a thin plate on a net of nodes, f_xx² + 2·f_xy² + f_yy².
-
-    Parameters
-    ----------
-    rows, cols : int
-        Nodes of the net along each side.
 
     Returns
     -------
-    array (rows·cols, rows·cols)
+    array (NODES², NODES²)
         Nodes row by row.
     """
+    same = np.eye(NODES)
+    slope, bend = (rule.T @ rule for rule in (np.diff(same, order, axis=0) for order in (1, 2)))
     # With the mixed term twice, the energy does not depend on the directions of rows and columns.
-    return np.asarray(
-        np.kron(np.eye(rows), _difference_normal(cols, 2))
-        + np.kron(_difference_normal(rows, 2), np.eye(cols))
-        + 2 * np.kron(_difference_normal(rows, 1), _difference_normal(cols, 1))
-    )
-
-
-def _difference_normal(count: int, order: int) -> FloatArray:
-    """Normal matrix (count, count) of differences of an order between neighbours."""
-    if count <= order:
-        return np.zeros((count, count))
-    rule = np.diff(np.eye(count), order, axis=0)
-    return np.asarray(rule.T @ rule)
+    return np.asarray(np.kron(same, bend) + np.kron(bend, same) + 2 * np.kron(slope, slope))
 
 
 def _cubic_splines(t: FloatArray) -> FloatArray:

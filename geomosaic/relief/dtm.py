@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError, counted
+from geomosaic.errors import InputError, counted, warn
 from geomosaic.geo.crs import height_name, horizontal, is_local, with_heights
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.interpolation import bilinear
@@ -140,7 +139,7 @@ def dtm(output: PathLike, *, overwrite: bool = False, **options: Any) -> DtmResu
     made = _written(output, written, crs, data, terrain, advised, overwrite=overwrite)
     contradiction = _contradiction(made, terrain)
     if contradiction is not None:
-        warnings.warn(f"{output}: {contradiction}", GeomosaicWarning, stacklevel=2)
+        warn(f"{output}: {contradiction}")
     return made
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, counted, did_you_mean
+from geomosaic.errors import InputError, SensorInputError, counted, did_you_mean, warn
 from geomosaic.limits import POSITIVE
 from geomosaic.sensor.plugin import SensorInput
 from geomosaic.types import PathLike
@@ -299,12 +298,10 @@ def check_scene_offset(offset: Sequence[float], corner: tuple[int, int] | None, 
         Image, for the message.
     """
     if corner is not None and any(corner) and math.dist(offset, corner) >= _LARGEST_OFFSET_ERROR:
-        warnings.warn(
+        warn(
             f"{where}: offset = [{offset[0]:g}, {offset[1]:g}] is declared, but by its own geotransform "
             f"the image begins in its scene at column {corner[0]}, row {corner[1]}; "
-            f"if that is right, give offset = {[*corner]}",
-            GeomosaicWarning,
-            stacklevel=4,
+            f"if that is right, give offset = {[*corner]}"
         )
 
 

@@ -130,7 +130,7 @@ class Cells:
         miss, shown = np.fmax.reduce(misses), np.logical_or.reduce(inside)
         corners = np.stack([_corners(end) for end in ends])
         # Only cells that may show the image: beside it a model may be as rough as it likes.
-        counts = _touch(corners.reshape(-1, *corners.shape[2:]), self.mapper.model.size, 0.5)
+        counts = _touch(corners.reshape(-1, *corners.shape[2:]), self.mapper.model.size)
         worst = np.fmax(_around(miss).ravel(), 0.0)
         # Where samples that show the image err by far too much, nothing clears their cells.
         if thorough and (self.step == 1 or not (misses[inside] > HOPELESS * admissible).any()):
@@ -226,9 +226,9 @@ def _around(miss: FloatArray) -> FloatArray:
     return np.fmax(np.fmax(down[:, :-1:2], down[:, 1::2]), down[:, 2::2])
 
 
-def _touch(places: FloatArray, size: tuple[int, int], around: float) -> BoolArray:
-    """Whether the boxes about places (K, N, 2), and `around` times as much on each side, meet the image: (N,)."""
+def _touch(places: FloatArray, size: tuple[int, int]) -> BoolArray:
+    """Whether the boxes about places (K, N, 2), and half as much on each side, meet the image: (N,)."""
     low, high = np.fmin.reduce(places), np.fmax.reduce(places)
-    pad = around * (high - low) + 1.0
+    pad = 0.5 * (high - low) + 1.0
     with np.errstate(invalid="ignore"):
         return both((high + pad > 0) & (low - pad < np.array(size)))

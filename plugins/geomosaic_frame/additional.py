@@ -244,23 +244,30 @@ def additional_of(table: Mapping[str, Any], half: tuple[float, float], where: st
     return AdditionalParameters.from_table(own, half, f"{where}, additional")
 
 
-def requested(names: Iterable[str], where: str = "`interior`") -> str | None:
-    """Model of additional parameters that names of an interior orientation ask for; None for none.
+def with_requested(camera: Any, names: Iterable[str], half: tuple[float, float]) -> Any:
+    """Camera with the additional parameters, all 0, that names of an interior orientation ask for.
 
     Parameters
     ----------
+    camera : CameraModel
+        With `additional`; the same where it has such parameters, or none are asked for.
     names : iterable of str
-    where : str
-        Named in errors.
+    half : tuple of float
+        As for `AdditionalParameters`.
 
     Raises
     ------
     InputError
-        They ask for two.
+        Two sets of parameters are asked for, or another than the camera has.
     """
-    named = set(names)
+    given = camera.additional
+    named = {*names, *(given.names if given else ())}
     found = [model for model, own in NAMES.items() if named & set(own)]
     if len(found) > 1:
         what = f"{' and '.join(found)} are two sets of additional parameters, of which a camera has one"
-        raise InputError(what, where=where, hint="choose one of them")
-    return found[0] if found else None
+        raise InputError(what, where="`interior`", hint="choose one of them")
+    return (
+        camera
+        if given is not None or not found
+        else replace(camera, additional=AdditionalParameters.none(found[0], half))
+    )

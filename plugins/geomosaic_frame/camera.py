@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -11,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.sensor.inputs import known_keys, need, numbers, pair, positive, table_of
 from geomosaic.sensor.plugin import Parameters
 from geomosaic.types import FloatArray
-from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, requested
+from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, with_requested
 from geomosaic_frame.distortion import Lens, NoDistortion
 from geomosaic_frame.lenses import adjustable, coefficient_groups, lens_from_dict, lens_from_table, plain
 from geomosaic_frame.rolling_shutter import RollingShutter
@@ -147,10 +146,7 @@ class Camera:
 
     def having(self, names: Iterable[str]) -> Camera:
         """Camera with the additional parameters that names of an interior orientation ask for."""
-        model = requested([*names, *(self.additional.names if self.additional else ())])
-        if model is None or self.additional is not None:
-            return self
-        return replace(self, additional=AdditionalParameters.none(model, self._half))
+        return with_requested(self, names, self._half)
 
     @property
     def _half(self) -> tuple[float, float]:
@@ -187,12 +183,10 @@ class Camera:
         beyond = ~self.lens.in_calibrated_range(u, v)
         if beyond.any():
             scale = math.sqrt(self.focal[0] * self.focal[1])
-            warnings.warn(
+            warn(
                 f"{where}: the distortion polynomial folds back {self.lens.edge * scale:.0f} px from the principal "
                 f"point, but the image reaches {np.hypot(u, v).max() * scale:.0f} px; beyond, distortion goes on "
-                f"linearly, and the image's edge is unreliable. Check the coefficients and their convention.",
-                GeomosaicWarning,
-                stacklevel=2,
+                f"linearly, and the image's edge is unreliable. Check the coefficients and their convention."
             )
 
     def scaled(self, size: tuple[int, int], where: str) -> Camera:

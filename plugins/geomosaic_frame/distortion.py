@@ -145,6 +145,10 @@ class Perspective(NamedCoefficients):
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         return np.ones(len(u), dtype=np.bool_)
 
+    def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
+        """The lens itself: its limit does not depend on the image."""
+        return self
+
 
 class NoDistortion(Perspective):
     """Ideal lens, without distortion."""
@@ -157,10 +161,6 @@ class NoDistortion(Perspective):
 
     def __repr__(self) -> str:
         return "NoDistortion()"
-
-    def for_corners(self, u: FloatArray, v: FloatArray) -> NoDistortion:
-        """The lens itself: its limit does not depend on the image."""
-        return self
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

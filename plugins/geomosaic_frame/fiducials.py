@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations, permutations
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError
+from geomosaic.errors import InputError, SensorInputError, warn
 from geomosaic.sensor.inputs import choice, flag, need, number, numbers, suggestion, table_of
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.types import FloatArray
@@ -111,11 +110,9 @@ def orient(
     worst = int(np.argmax(np.hypot(*result.residuals.T)))
     size_of_worst = float(np.hypot(*result.residuals[worst]))
     if size_of_worst > LARGE:
-        warnings.warn(
+        warn(
             f"{where}: a fiducial fits badly: {names[worst]} by {size_of_worst:.0f} µm. Measure the marks again, and "
-            "check the certificate.",
-            GeomosaicWarning,
-            stacklevel=2,
+            "check the certificate."
         )
     if result.redundancy == 0:
         notes.append(f"{len(names)} fiducials leave a {kind} orientation no check: a wrong one cannot be found")

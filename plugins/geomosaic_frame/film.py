@@ -30,7 +30,7 @@ from geomosaic.sensor.ray_corrections import (
     refraction_shift,
 )
 from geomosaic.types import BoolArray, FloatArray
-from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, requested
+from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, with_requested
 from geomosaic_frame.deformation import Deformation
 from geomosaic_frame.distortion import Columns, Perspective
 from geomosaic_frame.interior_orientation import apply
@@ -162,10 +162,6 @@ class FilmLens(Perspective):
         c = self.constant
         return np.hypot(u * c - self.symmetry[0], -v * c - self.symmetry[1]) <= self.radial.end
 
-    def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
-        """The lens itself: its limit does not depend on the image."""
-        return self
-
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         return {
@@ -283,10 +279,7 @@ class FilmCamera:
 
     def having(self, names: Iterable[str]) -> FilmCamera:
         """Camera with the additional parameters that names of an interior orientation ask for."""
-        model = requested([*names, *(self.additional.names if self.additional else ())])
-        if model is None or self.additional is not None:
-            return self
-        return replace(self, additional=AdditionalParameters.none(model, self.half))
+        return with_requested(self, names, self.half)
 
     @property
     def half(self) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -188,20 +189,12 @@ def _dji(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
     return Attitude(_FORWARD @ _platform(yaw, pitch, roll).T @ _SWAP, "local")
 
 
-def _shot(row: Mapping[str, Any], where: str, frame: str) -> Attitude:
+def _shot(row: Mapping[str, Any], unit: str, where: str, frame: str) -> Attitude:
     """Rotation vector in radians whatever the angle unit, as the files have it."""
     vector = numbers(need(row, "rotation", where, "rotation vector world → camera"), 3, "rotation", where)
     shift = numbers(need(row, "translation", where, "translation world → camera"), 3, "translation", where)
     to_camera = angle_axis(np.array(vector))
     return Attitude(FLIP @ to_camera, frame, -to_camera.T @ np.array(shift))
-
-
-def _opensfm(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
-    return _shot(row, where, "topocentric")
-
-
-def _odm(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
-    return _shot(row, where, "offset")
 
 
 def _pose(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
@@ -258,7 +251,7 @@ SYSTEMS: Mapping[str, AngleSystem] = {
             "at reference = [longitude, latitude, altitude]",
             ("rotation", "translation", "reference"),
             "topocentric",
-            _opensfm,
+            partial(_shot, frame="topocentric"),
         ),
         AngleSystem(
             "odm",
@@ -266,7 +259,7 @@ SYSTEMS: Mapping[str, AngleSystem] = {
             "brought to its UTM zone (its reconstruction.topocentric.json is opensfm)",
             ("rotation", "translation", "reference"),
             "offset",
-            _odm,
+            partial(_shot, frame="offset"),
         ),
         *(
             AngleSystem(

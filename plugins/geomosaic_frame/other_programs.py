@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from geomosaic.errors import GeomosaicWarning, InputError, default_hint, did_you_mean
+from geomosaic.errors import InputError, default_hint, did_you_mean, warn
 from geomosaic.geo.crs import geocentric
 from geomosaic.geo.local_frames import require_rotation
 from geomosaic.interchange.files import of_image, pinhole_files, read_bytes, read_text
@@ -151,18 +150,12 @@ def _pix4d(path: Path, image: str, where: str) -> Tables:
     if read is read_pmatrix:
         whole = offset_file(path, PARAMETERS)
         instead = f"; for the photos themselves give {whole.name}" if whole else ""
-        warnings.warn(
-            f"{path.name} holds for the images that Pix4D has freed of distortion{instead}",
-            GeomosaicWarning,
-            stacklevel=2,
-        )
+        warn(f"{path.name} holds for the images that Pix4D has freed of distortion{instead}")
     camera, row = _entry_of_image(read(read_text(path, where), shift, str(path)), image, path, where)
     if shift is None and max(map(abs, row["position"][:2])) < LOCAL:
-        warnings.warn(
+        warn(
             f"{path.name} has no PROJECT{OFFSET} beside it, and its coordinates are small: without the offset they "
-            "are no places of the map; Pix4D writes it to the same folder",
-            GeomosaicWarning,
-            stacklevel=2,
+            "are no places of the map; Pix4D writes it to the same folder"
         )
     return dict(camera), dict(row)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -229,10 +229,6 @@ class PolynomialLens(Perspective):
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         return np.hypot(*self._undistort(u, v)) <= self.fold
-
-    def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
-        """The lens itself: its limit does not depend on the image."""
-        return self
 
 
 @dataclass(frozen=True)

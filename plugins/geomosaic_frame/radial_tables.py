@@ -213,10 +213,6 @@ class Corrections(Perspective):
         """Whether the polynomial is used there as given, not its continuation (N,)."""
         return np.hypot(u, v) <= self.formula.fold
 
-    def for_corners(self, u: FloatArray, v: FloatArray) -> Self:
-        """The lens itself: its limit does not depend on the image."""
-        return self
-
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         return {"model": "corrections", "formula": self.formula.to_dict()}

@@ -5,7 +5,6 @@ Grunert's solutions of three points start a least squares adjustment over all of
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError, SensorInputError, SolveError, counted
+from geomosaic.errors import GeomosaicError, InputError, SensorInputError, SolveError, counted, warn
 from geomosaic.estimation.expected_errors import residual_text
 from geomosaic.estimation.statistics import correlations
 from geomosaic.geo.crs import geocentric
@@ -250,11 +249,9 @@ def _warn_of_weakness(one: Resection[FrameModel], xyz: FloatArray, sigmas: Float
         if gap < NEAR
         else "they are too few, or too close together"
     )
-    warnings.warn(
+    warn(
         f"{where}: the control points hardly determine the photo: {cause}; the projection centre is uncertain by "
-        f"{worst:.2f} m, {pixels:.0f} pixels on the ground. Add points, one in the middle or at another height.",
-        GeomosaicWarning,
-        stacklevel=2,
+        f"{worst:.2f} m, {pixels:.0f} pixels on the ground. Add points, one in the middle or at another height."
     )
 
 

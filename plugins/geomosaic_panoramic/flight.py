@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, default_where, did_you_mean
+from geomosaic.errors import InputError, SensorInputError, default_where, did_you_mean, warn
 from geomosaic.geo.crs import geographic, horizontal
 from geomosaic.geo.local_frames import LocalFrame, enu_axes, map_place
 from geomosaic.geo.transform import Transform
@@ -318,9 +317,7 @@ def warn_of_cell_shape(along: float, across: float, where: str) -> None:
         Named in the warning.
     """
     if not 1.0 / ODD <= along / across <= ODD:
-        warnings.warn(
+        warn(
             f"{where}: below the scanner a pixel is {across:.3g} m across and {along:.3g} m along the flight; is "
-            "field_of_view in degrees, and advance (or v_over_h) that of one line?",
-            GeomosaicWarning,
-            stacklevel=2,
+            "field_of_view in degrees, and advance (or v_over_h) that of one line?"
         )

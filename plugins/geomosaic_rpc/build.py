@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError, default_hint, default_where
+from geomosaic.errors import InputError, default_hint, default_where, warn
 from geomosaic.geo.transform import Transform
 from geomosaic.raster.image_metadata import pam_has_rpc, read_rpc_tags
 from geomosaic.raster.info import corner_in_scene
@@ -311,12 +310,10 @@ def _check_extent(rpc: Rpc, request: SensorRequest, in_scene: tuple[int, int] | 
     if in_scene is not None and any(in_scene) and (np.array(in_scene) + size < (1.0 + _BEYOND) * whole).all():
         raise undeclared_offset(in_scene, where)
     if (size < 0.5 * whole).any():  # an image of less than half of the box is a cut, or was reduced
-        warnings.warn(
+        warn(
             f"{where}: the image has {size[0]} x {size[1]} pixels, its RPC is made for about {whole[0]:.0f} x "
             f"{whole[1]:.0f}; it is taken for the upper-left part. If it is another part, give offset = [col, row] of "
-            "its corner in the scene; if it was reduced, its RPC does not fit",
-            GeomosaicWarning,
-            stacklevel=4,
+            "its corner in the scene; if it was reduced, its RPC does not fit"
         )
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError, listed
+from geomosaic.errors import InputError, listed, warn
 from geomosaic.estimation.blunders.mean_shift import MeanShifts, ShiftSearch, minimal_detectable
 from geomosaic.estimation.network import Network
 from geomosaic.types import FloatArray
@@ -139,7 +138,7 @@ class BlunderReport:
             hint = f"{again}, or go on without {'it' if one else 'them'}: `robust`; or with {'it' if one else 'them'}: "
             raise InputError(what, where=where, hint=f"{hint}`insist`")
         tail = ": left out" if policy == "leave" else f"; {again}, or leave {'it' if one else 'them'} out: `robust`"
-        warnings.warn(f"{where}: {what}{tail}", GeomosaicWarning, stacklevel=3)
+        warn(f"{where}: {what}{tail}")
 
 
 def report_of(

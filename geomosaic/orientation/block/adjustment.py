@@ -30,7 +30,7 @@ from geomosaic.orientation.block.image_scatter import HOLDING, first_scatter, im
 from geomosaic.orientation.block.lost_points import lost_points, ray_intersections, recover_points
 from geomosaic.orientation.block.observations import GroundControl, ImagePositions, in_units, rescaled
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, PoseGroup
-from geomosaic.orientation.block.problem import BlockProblem, Priors
+from geomosaic.orientation.block.problem import RULES, BlockProblem, Priors
 from geomosaic.orientation.block.residual_statistics import (
     ResidualStatistics,
     residual_statistics,
@@ -72,7 +72,6 @@ SCALES = 4
 # Share of the least log-probability among its images' measurements from which one is rejected in the same round.
 SWAMPED = 0.5
 
-RULES = Stopping(rounds=100, step=1e-6, near=1e-3, gain=1e-9)
 # While blunders are searched: what a solution moves then by does not change a test.
 SEARCHING_RULES = Stopping(rounds=100, step=1e-3, near=1e-1, gain=1e-5)
 # Weights change from round to round, and a smaller median makes all sums larger.
@@ -194,7 +193,7 @@ def adjust_block(
         rejected = [(weight > 0.0) & (weight < 0.04) | far for weight, far in zip(weights, turned, strict=True)]
         rejected[0] &= ~_rays_of_lost_control(problem, state, rejected[0])
         state = found.state
-        scatter = first_scatter(problem, state, rejected, RULES)
+        scatter = first_scatter(problem, state, rejected)
         every = _scaled(every, declared, scatter)
     looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
     wrong: list[GroupBlunder] = []
@@ -204,7 +203,7 @@ def adjust_block(
         problem, state, start, held = _determined(every, state, start, rejected, weak)
         solution = solve(problem, state, rules if left else RULES)
         if alpha is not None and not tried:
-            found_wrong = search_groups(problem, solution, state, start, {each.index for each in wrong}, alpha, RULES)
+            found_wrong = search_groups(problem, solution, state, start, {each.index for each in wrong}, alpha)
             if found_wrong is not None:
                 wrong.append(found_wrong)
                 every, start = found_wrong.applied(every, start)

@@ -35,9 +35,7 @@ def adjust_pose(
     return solve(_OneImage(bearings, xyz), (centre, rotation), ROUGH).state
 
 
-def adjust_bearings(
-    bearings: Bearings, poses: Poses, xyz: FloatArray, rules: Stopping = ROUGH
-) -> tuple[Poses, FloatArray]:
+def adjust_bearings(bearings: Bearings, poses: Poses, xyz: FloatArray) -> tuple[Poses, FloatArray]:
     """Bundle adjustment of poses and points, as far as they are known.
 
     Parameters
@@ -47,7 +45,6 @@ def adjust_bearings(
     poses : Poses
     xyz : array (S, 3)
         Points; those without a bearing stay.
-    rules : Stopping
 
     Returns
     -------
@@ -63,7 +60,7 @@ def adjust_bearings(
     held = np.zeros((len(images), 6), dtype=bool)
     held[0] = True
     held[np.unravel_index(int(np.argmax(apart)), apart.shape)] = True
-    found, places = solve(_Block(own, held), (start, xyz[points]), rules).state
+    found, places = solve(_Block(own, held), (start, xyz[points]), ROUGH).state
     centres, rotations, moved = poses.centres.copy(), poses.rotations.copy(), xyz.copy()
     centres[images], rotations[images], moved[points] = found.centres, found.rotations, places
     return Poses(centres, rotations), moved

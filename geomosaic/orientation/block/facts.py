@@ -183,7 +183,7 @@ def _statements(checks: KnownPoints) -> dict[str, Any]:
         return {"statements": []}
     ids = [name for name, there in zip(checks.ids, list(placed), strict=True) if there]
     plan = check_errors(ids, -checks.errors[placed, :2], "m")
-    heights = height_statements(-checks.errors[placed, 2], "m")
+    heights = height_statements(-checks.errors[placed, 2])
     return {"statements": [plan.nssda_statement, plan.asprs_statement, *heights]}
 
 

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.network import LEAST_PIVOT, Network
-from geomosaic.estimation.solver import Outcome, Solution, Stopping, solve
+from geomosaic.estimation.solver import Outcome, Solution, solve
 from geomosaic.orientation.block.observations import (
     GroundControl,
     Group,
@@ -29,7 +29,7 @@ from geomosaic.orientation.block.observations import (
     whitening_of,
 )
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions
-from geomosaic.orientation.block.problem import BlockProblem, Priors
+from geomosaic.orientation.block.problem import RULES, BlockProblem, Priors
 from geomosaic.orientation.block.residual_statistics import (
     CHECKED,
     ResidualStatistics,
@@ -110,7 +110,6 @@ def search_groups(
     start: BlockState,
     known: Collection[int],
     alpha: float,
-    rules: Stopping,
 ) -> GroupBlunder | None:
     """Group that contradicts the rest of the block; None where none does.
 
@@ -127,7 +126,6 @@ def search_groups(
         Groups that are not looked at.
     alpha : float
         Probability below which an error is no chance.
-    rules : Stopping
     """
     solved, squares = solution.state, solution.squares
     candidates = [
@@ -156,7 +154,7 @@ def search_groups(
         improbable = _improbable(problem, statistics[index], solved.weights[index], alpha)
         if not fall and not improbable:
             continue
-        trial = _tried(problem, before, start, index, alpha, rules)
+        trial = _tried(problem, before, start, index, alpha)
         if trial is None:
             # What the rest cannot predict is judged by the block that is bent.
             untried += [index] if fall > LINEAR * max(falls.values()) else []
@@ -169,7 +167,7 @@ def search_groups(
             scattered.append(index)
     if not trials:
         # Larger standard deviations give nothing up: image positions may have an excess of their own beside it.
-        trials, untried = [_scattered(problem, before, index, rules) for index in scattered], []
+        trials, untried = [_scattered(problem, before, index) for index in scattered], []
         if _control_alone(problem):
             least_fall = -2.0 * float(np.log(alpha))
     least = min(trials, key=lambda trial: trial.excess, default=None)
@@ -272,9 +270,7 @@ def _fall(problem: BlockProblem, network: Network, state: BlockState, index: int
     return fall if _off(by, offset) > chi2.isf(alpha, size) else 0.0
 
 
-def _tried(
-    problem: BlockProblem, before: BlockState, start: BlockState, index: int, alpha: float, rules: Stopping
-) -> _Trial | None:
+def _tried(problem: BlockProblem, before: BlockState, start: BlockState, index: int, alpha: float) -> _Trial | None:
     """Solution without a group, and what it predicts; None where the rest does not determine the block."""
     group = problem.groups[index]
     weights = [weight.copy() for weight in before.weights]
@@ -286,10 +282,10 @@ def _tried(
         rest, state, held = problem.with_determined_images(state, nothing)
         if (held & ~_held(problem)).any() or not rest.linearise(state).least_pivot >= LEAST_PIVOT:
             return None
-        solution = solve(rest, state, rules)
+        solution = solve(rest, state, RULES)
         state, squares, first = solution.state, solution.squares, solution.state
         if isinstance(group, GroundControl) and solution.outcome is Outcome.CONVERGED:
-            state = solve(rest, _with_rays(rest, state, start, group), rules).state
+            state = solve(rest, _with_rays(rest, state, start, group), RULES).state
     except SolveError:
         return None
     if solution.outcome is not Outcome.CONVERGED:
@@ -335,14 +331,14 @@ def _common(errors: FloatArray) -> FloatArray | None:
     return offset if scatter < COMMON * float(np.linalg.norm(offset)) else None
 
 
-def _scattered(problem: BlockProblem, before: BlockState, index: int, rules: Stopping) -> _Trial:
+def _scattered(problem: BlockProblem, before: BlockState, index: int) -> _Trial:
     """Solution with a group whose standard deviations are so large that its median residual is what chance brings."""
     scale, squares, state = 1.0, np.inf, before
     nothing = [np.zeros(len(weight), dtype=np.bool_) for weight in before.weights]
     for _ in range(ROUNDS):
         trial = _rescaled(problem, index, scale)
         # From the solution under smaller ones: where little holds a block, its first values are hundreds of rounds off.
-        solution = solve(trial, state, rules)
+        solution = solve(trial, state, RULES)
         if not trial.linearise(solution.state).factored.regular:
             break  # it ran away, and says nothing of the group
         state, squares = solution.state, solution.squares

@@ -13,12 +13,12 @@ from scipy.stats import chi2
 
 from geomosaic.errors import SolveError
 from geomosaic.estimation.network import LEAST_PIVOT
-from geomosaic.estimation.solver import Outcome, Stopping, solve
+from geomosaic.estimation.solver import Outcome, solve
 from geomosaic.estimation.statistics import median_variance
 from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
 from geomosaic.orientation.block.observations import GroundControl, SurfaceHeights, rescaled
 from geomosaic.orientation.block.poses import Attitudes, CameraPositions, RelativePoses
-from geomosaic.orientation.block.problem import BlockProblem
+from geomosaic.orientation.block.problem import RULES, BlockProblem
 from geomosaic.orientation.block.residual_statistics import ResidualStatistics, residual_statistics, unit_variance
 from geomosaic.orientation.block.unknowns import BlockState
 from geomosaic.types import BoolArray, FloatArray
@@ -36,7 +36,7 @@ HOLDING = CameraPositions | Attitudes | RelativePoses | SurfaceHeights | CommonH
 LOOSE, WORSE = (100.0, 10.0, 1.0), 1.1
 
 
-def first_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[BoolArray], rules: Stopping) -> float:
+def first_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[BoolArray]) -> float:
     """Factor by which image positions scatter more than declared, where nothing else holds the block tightly.
 
     Parameters
@@ -46,7 +46,6 @@ def first_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[B
         After the robust rounds.
     rejected : sequence of bool array
         Measurements (N,) of each group that are left out.
-    rules : Stopping
     """
     # Before control and camera positions are judged: rays that pretend to be better than they are find all of these
     # wrong, in turn.
@@ -58,7 +57,7 @@ def first_scatter(problem: BlockProblem, state: BlockState, rejected: Sequence[B
     if _scatter_about_points(problem, problem.after_inner_iterations(state)) <= WORSE:
         return 1.0
     for factor in LOOSE:
-        one = _loosened_statistics(problem, state, factor, rules)
+        one = _loosened_statistics(problem, state, factor)
         if one is not None:
             return float(np.sqrt(unit_variance(one)))
     return 1.0
@@ -78,9 +77,7 @@ def _scatter_about_points(problem: BlockProblem, state: BlockState) -> float:
     return median_variance(sums[seen], freedom[seen]) / share if share > 0.0 else 0.0
 
 
-def _loosened_statistics(
-    problem: BlockProblem, state: BlockState, factor: float, rules: Stopping
-) -> ResidualStatistics | None:
+def _loosened_statistics(problem: BlockProblem, state: BlockState, factor: float) -> ResidualStatistics | None:
     """Statistics of the image positions where all that holds the block has larger standard deviations.
 
     None where that does not determine it.
@@ -91,7 +88,7 @@ def _loosened_statistics(
         loose, state, _ = replace(problem, groups=tuple(groups)).with_determined_images(state, nothing)
         if loose.linearise(state).least_pivot < LEAST_PIVOT:
             return None
-        found = solve(loose, state, rules)
+        found = solve(loose, state, RULES)
     except SolveError:  # what does not determine the block is told where it is adjusted
         return None
     network = loose.linearise(found.state)

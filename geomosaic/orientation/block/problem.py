@@ -12,7 +12,7 @@ import numpy as np
 from geomosaic.errors import SolveError, listed
 from geomosaic.estimation.elimination import Pattern
 from geomosaic.estimation.network import Network, Observations
-from geomosaic.estimation.solver import Problem
+from geomosaic.estimation.solver import Problem, Stopping
 from geomosaic.orientation.block.common_rotation import turned_together
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.free_datum import free_datum
@@ -27,6 +27,9 @@ LEAST_WEIGHT = 1e-9
 # Rounds in which points follow their images, and the damping of their depths, over all that is known of a place: of a
 # drone's photos rays that enclose half a degree lose a tenth.
 FOLLOWING, FLAT = 2, 1e-6
+
+# Of every solution that counts.
+RULES = Stopping(rounds=100, step=1e-6, near=1e-3, gain=1e-9)
 
 
 @dataclass(frozen=True, eq=False)

@@ -156,16 +156,16 @@ _CUBIC: list[tuple[int, ...]] = [
 _QUADRATIC = [m for m in _CUBIC if sum(m) <= 2]
 
 
-def _products(left: list[tuple[int, ...]], right: list[tuple[int, ...]], into: list[tuple[int, ...]]) -> FloatArray:
-    """Tensor (L, R, K) of products of monomials."""
-    table = np.zeros((len(left), len(right), len(into)))
+def _products(left: list[tuple[int, ...]], into: list[tuple[int, ...]]) -> FloatArray:
+    """Tensor (L, 4, K) of products of monomials with linear ones."""
+    table = np.zeros((len(left), len(_LINEAR), len(into)))
     for i, a in enumerate(left):
-        for j, b in enumerate(right):
+        for j, b in enumerate(_LINEAR):
             table[i, j, into.index(tuple(p + q for p, q in zip(a, b, strict=True)))] = 1.0
     return table
 
 
-_TO_QUADRATIC, _TO_CUBIC = _products(_LINEAR, _LINEAR, _QUADRATIC), _products(_QUADRATIC, _LINEAR, _CUBIC)
+_TO_QUADRATIC, _TO_CUBIC = _products(_LINEAR, _QUADRATIC), _products(_QUADRATIC, _CUBIC)
 # Products of the ten lower monomials with x: cubics, by their row, or lower ones again.
 _TIMES_X = [_CUBIC.index((a + 1, b, c)) for a, b, c in _CUBIC[10:]]
 

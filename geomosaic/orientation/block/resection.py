@@ -80,7 +80,7 @@ def _consensus(
             return None
         centre, rotation = adjust_pose(bearings.select(used), xyz[used], centre, rotation)
         off = _misses(bearings, xyz, centre, rotation)
-        used = off <= min(spread_tolerance(off[used], 0.0), tolerance)
+        used = off <= min(spread_tolerance(off[used]), tolerance)
     return (centre, rotation, used) if np.count_nonzero(used) >= least else None
 
 

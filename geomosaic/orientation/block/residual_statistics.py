@@ -129,7 +129,7 @@ def _tested(left: FloatArray, share: FloatArray, unit: float) -> ResidualStatist
     return ResidualStatistics(left, share, statistic, freedom, chance)
 
 
-def search_control(problem: BlockProblem, state: BlockState, alpha: float, scale: float = 1.0) -> dict[int, BoolArray]:
+def search_control(problem: BlockProblem, state: BlockState, alpha: float) -> dict[int, BoolArray]:
     """Control points that contradict the others and the rays of the block.
 
     Parameters
@@ -139,8 +139,6 @@ def search_control(problem: BlockProblem, state: BlockState, alpha: float, scale
         A solution, whatever control took part in it.
     alpha : float
         Probability below which an error is no chance.
-    scale : float
-        Standard deviation of unit weight of the image positions.
 
     Returns
     -------
@@ -151,11 +149,11 @@ def search_control(problem: BlockProblem, state: BlockState, alpha: float, scale
     found = {}
     for index, group in enumerate(problem.groups):
         if isinstance(group, GroundControl) and len(group):
-            found[index] = fewest_wrong(problem, state, index, alpha, scale)
+            found[index] = fewest_wrong(problem, state, index, alpha)
     return found
 
 
-def fewest_wrong(problem: BlockProblem, state: BlockState, index: int, alpha: float, scale: float = 1.0) -> BoolArray:
+def fewest_wrong(problem: BlockProblem, state: BlockState, index: int, alpha: float) -> BoolArray:
     """Smallest set (N,) of observations of a group, of few, without which its others contradict nothing.
 
     Empty where a rotation of the block hangs on that set: what turns with it contradicts nothing, right or wrong.
@@ -169,8 +167,6 @@ def fewest_wrong(problem: BlockProblem, state: BlockState, index: int, alpha: fl
         Of the group.
     alpha : float
         Probability below which an error is no chance.
-    scale : float
-        Standard deviation of unit weight of the image positions.
     """
     group, with_all = problem.groups[index], [*state.weights]
     with_all[index] = np.where(group.placed(state.moving), 1.0, 0.0)
@@ -181,7 +177,7 @@ def fewest_wrong(problem: BlockProblem, state: BlockState, index: int, alpha: fl
     place = [i for i, weight in enumerate(with_all) if (weight > 0.0).any()].index(index)
     first = sum(each.misclosure.size for each in network.groups[:place])
     rows = np.arange(first, first + network.groups[place].misclosure.size)
-    left = network.residuals(network.step())[rows] / scale
+    left = network.residuals(network.step())[rows]
     share, columns = network.redundancy_blocks(place), partial(network.redundancy_columns, place)
     size = network.groups[place].misclosure.shape[1]
     observed = group.observed[part]

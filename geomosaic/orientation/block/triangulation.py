@@ -137,19 +137,17 @@ def finite(places: FloatArray) -> BoolArray:
     return np.asarray(np.isfinite(places).all(axis=tuple(range(1, places.ndim))))
 
 
-def spread_tolerance(off: FloatArray, tolerance: float) -> float:
-    """Tolerance in pixels of misses (N,): the one given, or 4 times their robust scatter if that is more.
+def spread_tolerance(off: FloatArray) -> float:
+    """Tolerance in pixels of misses (N,): 4 times their robust scatter.
 
     Parameters
     ----------
     off : array (N,)
         Pixels.
-    tolerance : float
-        Pixels.
     """
     finite = off[np.isfinite(off)]
     scatter = float(np.median(finite)) / MEDIAN_LENGTH if len(finite) else 0.0
-    return max(tolerance, REJECTION * scatter)
+    return REJECTION * scatter
 
 
 def _intersections(rays: Rays, points: int) -> tuple[FloatArray, FloatArray]:

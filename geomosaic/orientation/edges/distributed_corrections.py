@@ -9,12 +9,11 @@ meets every point.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError
+from geomosaic.errors import InputError, SolveError, warn
 from geomosaic.sensor.corrected import CorrectionGrid
 from geomosaic.types import AnyArray, FloatArray
 
@@ -175,12 +174,10 @@ def spread(points: FloatArray, corrections: FloatArray, reach: float, names: tup
             missed = np.abs(grid.at(points) - corrections).max(axis=1) > EXACT
             if missed.any():
                 first, second = each.steepest_pair()
-                warnings.warn(
+                warn(
                     f"{int(missed.sum())} of {len(points)} points lie so close to others, and contradict them so much, "
                     f"that the join meets only their mean: first of all '{first}' and '{second}'. Look for wrong "
-                    "measurements; a place measured under two ids should have one",
-                    GeomosaicWarning,
-                    stacklevel=2,
+                    "measurements; a place measured under two ids should have one"
                 )
             return grid
     first, second = each.steepest_pair()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, SolveError, counted, listed
+from geomosaic.errors import SolveError, counted, listed, warn
 from geomosaic.orientation.planar.measurements import PlanarBlock
 from geomosaic.orientation.planar.transformations import LEAST, PlanarTransform, photo_coordinates
 from geomosaic.types import FloatArray
@@ -204,11 +203,9 @@ def check_plausible(solution: PlanarSolution, start: PlanarSolution | None, wher
             raise error
     mirrored = ", a mirrored image (affine takes it)" if solution.kind == "conformal" else ""
     place = f"{where}: " if where else ""
-    warnings.warn(
+    warn(
         f"{place}residuals are {solution.sigma0:.1f} times as large as the standard deviations say "
-        f"({solution.rms:.2f} px RMS): relief or tilt, a wrong measurement{mirrored}, or too small sigmas",
-        GeomosaicWarning,
-        stacklevel=3,
+        f"({solution.rms:.2f} px RMS): relief or tilt, a wrong measurement{mirrored}, or too small sigmas"
     )
 
 

@@ -176,22 +176,20 @@ def check_errors(
     return CheckStatistics(tuple(map(str, ids)), found, unit, float(survey_rms))
 
 
-def height_statements(errors: AnyArray, unit: str) -> list[str]:
+def height_statements(errors: AnyArray) -> list[str]:
     """Statements of the NSSDA and of ASPRS Edition 2 on heights, those that the number of points allows.
 
     Parameters
     ----------
     errors : array (N,)
-        Found minus true.
-    unit : str
-        Of them.
+        Found minus true, metres.
     """
     heights = np.asarray(errors, dtype=np.float64)
     count, rmse = len(heights), float(np.sqrt(np.mean(np.square(heights))))
-    said = [f"Tested {NSSDA_HEIGHT_FACTOR * rmse:.3g} {unit} vertical accuracy at 95% confidence level (NSSDA)"]
+    said = [f"Tested {NSSDA_HEIGHT_FACTOR * rmse:.3g} m vertical accuracy at 95% confidence level (NSSDA)"]
     said.append(
         f"Tested after the ASPRS Positional Accuracy Standards, Edition 2 (2024): vertical accuracy "
-        f"RMSE_V = {rmse:.3g} {unit} from {count} check points, their survey taken as free of errors"
+        f"RMSE_V = {rmse:.3g} m from {count} check points, their survey taken as free of errors"
     )
     return [text for text, least in zip(said, (NSSDA_POINTS, ASPRS_POINTS), strict=True) if count >= least]
 

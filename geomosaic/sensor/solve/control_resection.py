@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, cast
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning, SolveError, listed
+from geomosaic.errors import SolveError, listed, warn
 from geomosaic.estimation.blunders.confusion import confusion_causes
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import total_rms
@@ -58,9 +57,9 @@ class ControlResection(Generic[Model]):
             one = len(self.left_out) == 1
             what = f"{len(self.left_out)} of {len(self.used)} control points contradict{'s' * one} the others and "
             what += f"{'is' if one else 'are'} left out: {listed(self.left_out, MOST_NAMED, '; ')}"
-            warnings.warn(f"{where}: {what}", GeomosaicWarning, stacklevel=3)
+            warn(f"{where}: {what}")
         if self.undecided:
-            warnings.warn(f"{where}: {self.undecided}", GeomosaicWarning, stacklevel=3)
+            warn(f"{where}: {self.undecided}")
 
     def summary(self, names: Sequence[str]) -> str:
         """Number of the points and size of their residuals, for the notes of a model.

@@ -20,7 +20,7 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import has_heights, horizontal, in_degrees
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import HasRays, SensorModel
-from geomosaic.sensor.solve.newton import ACCEPTED, ROUGHLY, pixel_step, solve_pairs
+from geomosaic.sensor.solve.newton import ACCEPTED, pixel_step, solve_pairs
 from geomosaic.surface.model import Surface
 from geomosaic.surface.ray_intersection import intersect
 from geomosaic.types import BoolArray, FloatArray, IntArray
@@ -127,7 +127,7 @@ class SightLines:
         def evaluate(xy: FloatArray, index: IntArray) -> FloatArray:
             return self.model.ground_to_image(self.to_model(np.column_stack([xy, heights[index]])))
 
-        return solve_pairs(evaluate, self.colrow[rows], start, self.step, ROUGHLY)
+        return solve_pairs(evaluate, self.colrow[rows], start, self.step)
 
     def exact(self, xyz: FloatArray) -> BoolArray:
         """Which of the map points (N, 3) fall on the image points of their lines within 1e-6 pixel."""

@@ -139,7 +139,6 @@ def solve_pairs(
     target: FloatArray,
     start: FloatArray,
     step: float,
-    accepted: float,
 ) -> FloatArray:
     """Solutions xy of evaluate(xy) = target, for each row by itself.
 
@@ -153,13 +152,11 @@ def solve_pairs(
         First guesses.
     step : float
         Change of xy that moves the values by about one pixel, for the forward differences.
-    accepted : float
-        Largest residual in pixels of a solution.
 
     Returns
     -------
     array (N, 2)
-        NaN where no solution was found: the start is undefined, or there is none.
+        NaN where no solution was found to `ROUGHLY`: the start is undefined, or there is none.
 
     Notes
     -----
@@ -183,7 +180,7 @@ def solve_pairs(
         last = error[rows] <= ACCEPTED  # a step from here ends in rounding: no use in another
         improved = _damped(evaluate, target, xy, residual, error, rows, change)
         rows = rows[improved & ~last]
-    xy[~(error <= accepted)] = np.nan
+    xy[~(error <= ROUGHLY)] = np.nan
     return xy
 
 
