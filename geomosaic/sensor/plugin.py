@@ -516,6 +516,27 @@ class SensorInput:
     default: str | None = None
 
 
+# Inputs that several sensors have.
+RAY_CORRECTIONS = (
+    SensorInput(
+        "refraction",
+        "true corrects the refraction of the standard atmosphere, for a ground at ground_height; a number is the "
+        "constant K, the angle at 45° from the nadir, in µrad",
+        default="false",
+    ),
+    SensorInput(
+        "curvature",
+        "true corrects the curvature of the Earth in the planar treatment, for a ground at ground_height",
+        default="false",
+    ),
+)
+CONTROL_POINTS = SensorInput(
+    "points",
+    "control points, each with x, y, z, col, row and optionally id and sigma (pixels, default 1), in the declared "
+    "CRS; in a project those of [control]",
+)
+
+
 class ControlUse(Enum):
     """Use that a sensor makes of the control points of an image."""
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from geomosaic.sensor.inputs import choice, known_keys, need, number, positive, 
 from geomosaic.types import FloatArray
 
 Columns = tuple[FloatArray, FloatArray]
+Kind = TypeVar("Kind", bound=Any)
 # (i, j, factor) of Pᵢ(x)·Pⱼ(y) in Δx, and in Δy.
 Terms = tuple[tuple[tuple[int, int, float], ...], tuple[tuple[int, int, float], ...]]
 
@@ -244,7 +245,7 @@ def additional_of(table: Mapping[str, Any], half: tuple[float, float], where: st
     return AdditionalParameters.from_table(own, half, f"{where}, additional")
 
 
-def with_requested(camera: Any, names: Iterable[str], half: tuple[float, float]) -> Any:
+def with_requested(camera: Kind, names: Iterable[str], half: tuple[float, float]) -> Kind:
     """Camera with the additional parameters, all 0, that names of an interior orientation ask for.
 
     Parameters

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.sensor.inputs import known_inputs
-from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import RAY_CORRECTIONS, Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
 
 if TYPE_CHECKING:
     from geomosaic_frame.model import FrameModel
@@ -85,17 +85,7 @@ INPUTS = (
         "alteration): undo it, about ground_height",
         default="false",
     ),
-    SensorInput(
-        "refraction",
-        "true corrects the refraction of the standard atmosphere, for a ground at ground_height; a number is the "
-        "constant K, the angle at 45° from the nadir, in µrad",
-        default="false",
-    ),
-    SensorInput(
-        "curvature",
-        "true corrects the curvature of the Earth in the planar treatment, for a ground at ground_height",
-        default="false",
-    ),
+    *RAY_CORRECTIONS,
     SensorInput(
         "upwards",
         "true where the photo may look level or above the horizon, at a facade, a tower or a dome; in a local frame "

@@ -5,7 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from geomosaic.sensor.inputs import known_inputs
-from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import (
+    CONTROL_POINTS,
+    RAY_CORRECTIONS,
+    Capabilities,
+    ControlUse,
+    SensorExample,
+    SensorInput,
+    SensorRequest,
+)
 
 if TYPE_CHECKING:
     from geomosaic_panoramic.model import PanoramicModel, RelativeStrip
@@ -43,17 +51,7 @@ INPUTS = (
         "curvature of the Earth",
         default="rigorous",
     ),
-    SensorInput(
-        "refraction",
-        "true corrects the refraction of the standard atmosphere, for a ground at ground_height; a number is the "
-        "constant K, the angle at 45° from the nadir, in µrad",
-        default="false",
-    ),
-    SensorInput(
-        "curvature",
-        "true corrects the curvature of the Earth in the planar treatment, for a ground at ground_height",
-        default="false",
-    ),
+    *RAY_CORRECTIONS,
     SensorInput(
         "optical_bar",
         "panoramic camera of the Ames Stereo Pipeline (.tsai, OPTICAL_BAR), in place of all above; each image "
@@ -63,11 +61,7 @@ INPUTS = (
     SensorInput("height_above_ground", "with relative: in place of a position", "m"),
     SensorInput("drift", "with relative: angle of the nose to the right of the course", "deg", "0"),
     SensorInput("latitude", "with relative and an orbit: of the middle of the image, geodetic", "deg"),
-    SensorInput(
-        "points",
-        "control points, each with x, y, z, col, row and optionally id and sigma (pixels, default 1), in the declared "
-        "CRS; in a project those of [control]",
-    ),
+    CONTROL_POINTS,
     SensorInput(
         "refine", "points: the flight is corrected by control points; none: it stays as it is", default="points"
     ),

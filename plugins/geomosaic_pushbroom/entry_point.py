@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from geomosaic.sensor.inputs import known_inputs
-from geomosaic.sensor.plugin import Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
+from geomosaic.sensor.plugin import CONTROL_POINTS, Capabilities, ControlUse, SensorExample, SensorInput, SensorRequest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,11 +28,7 @@ INPUTS = (
         "px",
         "0, 0",
     ),
-    SensorInput(
-        "points",
-        "control points, each with x, y, z, col, row and optionally id and sigma (pixels, default 1), in the declared "
-        "CRS; in a project those of [control]",
-    ),
+    CONTROL_POINTS,
     SensorInput(
         "refine",
         "points: metadata or track are corrected by the control points, within their sigmas; none: left as they are. "

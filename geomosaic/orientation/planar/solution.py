@@ -208,7 +208,7 @@ class PlanarSolution:
     def expected_errors(self, photo: str) -> tuple[FloatArray, FloatArray]:
         """Map positions (5, 2) of a photo's corners and middle, and expected lengths (5,) of their errors, pixels."""
         transform = self.transforms[photo]
-        colrow = np.vstack([transform.corners(), np.array([transform.photo.size]) / 2.0])
+        colrow = transform.corners_and_middle()
         scale = np.sqrt(2.0 * variance_factor(self.sigma0, self.redundancy))
         return transform.to_ground(colrow), scale * self.position_sigmas(photo, colrow) / transform.pixel()
 

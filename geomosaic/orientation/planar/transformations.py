@@ -299,6 +299,10 @@ class PlanarTransform:
         width, height = self.photo.size
         return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
 
+    def corners_and_middle(self) -> FloatArray:
+        """Corners and middle (5, 2) of the photo in pixels."""
+        return np.vstack([self.corners(), np.array([self.photo.size]) / 2.0])
+
     def centre(self) -> FloatArray:
         """Ground (2,) of the middle of the photo."""
         middle: FloatArray = self.to_ground(np.array([self.photo.size]) / 2.0)[0]

@@ -282,7 +282,7 @@ def compare(
     model : str
         'conformal', 'affine' or 'projective'.
     """
-    at = {photo.name: _places(photo.size) for photo in block.photos}
+    at = {photo.name: adjusted[photo.name].corners_and_middle() for photo in block.photos}
     ours = {name: made.transforms[name].to_ground(at[name]) for name in at}
     theirs = {name: adjusted[name].to_ground(at[name]) for name in at}
     start = _conformal(ours[made.start], theirs[made.start])
@@ -319,11 +319,6 @@ def _gaps(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> floa
     found = joins(block, transforms)
     squares = sum(one.points * one.rms**2 for one in found)
     return float(np.sqrt(squares / max(1, sum(one.points for one in found))))
-
-
-def _places(size: tuple[int, int]) -> FloatArray:
-    width, height = size
-    return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height], [width / 2.0, height / 2.0]])
 
 
 def _conformal(source: FloatArray, target: FloatArray) -> FloatArray:
