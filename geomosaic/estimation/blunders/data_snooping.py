@@ -137,7 +137,7 @@ def _readmit(
     return kept, probability, back
 
 
-def chance_errors(statistic: FloatArray, freedom: IntArray) -> BoolArray:
+def chance_errors(statistic: FloatArray, freedom: IntArray, alpha: float = ALPHA, unit: float = 1.0) -> BoolArray:
     """Whether errors (N,) may be chance: those of measurements made by a program, whose number makes refits needless.
 
     Parameters
@@ -146,8 +146,12 @@ def chance_errors(statistic: FloatArray, freedom: IntArray) -> BoolArray:
         Weighted sums of squares; NaN is no chance.
     freedom : int array (N,)
         Redundant observations in each.
+    alpha : float
+        Probability below which an error is no chance.
+    unit : float
+        Variance of unit weight.
     """
-    return np.asarray(log_chi_squared_tail(statistic, freedom) >= np.log(ALPHA))
+    return np.asarray(log_chi_squared_tail(statistic / unit, freedom) >= np.log(alpha))
 
 
 # Standard deviations at which a point loses all weight: 95 % efficiency for normal errors in two axes.
