@@ -82,7 +82,8 @@ class Setting:
         copy: Command = (self.python, script, "copy", str(reference), str(target))
         if self.programs.gdal_translate:
             options = [word for block in BLOCKS for word in ("-co", block)]
-            copy = (self.programs.gdal_translate, "-q", *options, str(reference), str(target))
+            inside = ("--config", "GDAL_TIFF_INTERNAL_MASK", "YES")  # before GDAL 3.9 masks became files of their own
+            copy = (self.programs.gdal_translate, "-q", *inside, *options, str(reference), str(target))
         passed = (self.python, script, "pass", str(reference), str(target), *inputs)
         return [Tool("floor", (copy,), (target,)), Tool("floor: inputs + output", (passed,), (target,))]
 

@@ -255,7 +255,7 @@ def _with_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
     )
     rows = np.repeat(np.arange(count), 8)
     design = csr_matrix(coo_matrix((values.ravel(), (rows, cols.ravel())), shape=(count, images * size)))
-    smooth = np.eye(size) / SIGMA_NODE**2 + bases.roughness() / SIGMA_ROUGHNESS**2
+    smooth = np.eye(size) / SIGMA_NODE**2 + bases.roughness(NODES) / SIGMA_ROUGHNESS**2
     prior = csr_matrix(block_diag([smooth] * images))
     per_overlap = np.repeat(known.sum(axis=1), known.sum(axis=1))
     nets = np.zeros((images, size, one.shape[2]))

@@ -126,19 +126,24 @@ def prior_normal_matrix(terms: Collection[str], cameras: int) -> FloatArray:
         normal[here, here] = 1 / 0.5**2
         at += TREND
     if "hotspot" in terms:
-        normal[at:, at:] = np.eye(NODES * NODES) / 0.5**2 + roughness() / 0.1**2
+        normal[at:, at:] = np.eye(NODES * NODES) / 0.5**2 + roughness(NODES) / 0.1**2
     return normal
 
 
-def roughness() -> FloatArray:
+def roughness(nodes: int) -> FloatArray:
     """Normal matrix of the bending energy of a thin plate on a net of nodes, f_xx² + 2·f_xy² + f_yy².
+
+    Parameters
+    ----------
+    nodes : int
+        Along each side.
 
     Returns
     -------
-    array (NODES², NODES²)
+    array (nodes², nodes²)
         Nodes row by row.
     """
-    same = np.eye(NODES)
+    same = np.eye(nodes)
     slope, bend = (rule.T @ rule for rule in (np.diff(same, order, axis=0) for order in (1, 2)))
     # With the mixed term twice, the energy does not depend on the directions of rows and columns.
     return np.asarray(np.kron(same, bend) + np.kron(bend, same) + 2 * np.kron(slope, slope))
