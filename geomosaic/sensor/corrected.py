@@ -27,6 +27,7 @@ from geomosaic.sensor.plugin import (
     HasRays,
     Parameters,
     SensorModel,
+    WrappedModel,
 )
 from geomosaic.sensor.registry import plugin
 from geomosaic.sensor.solve.newton import jacobian
@@ -230,7 +231,7 @@ class CorrectionGrid:
 
 
 @dataclass(frozen=True, eq=False)
-class Corrected:
+class Corrected(WrappedModel):
     """A sensor model with a correction grid behind it; make one with `Corrected.of`.
 
     The parameters are those of the wrapped model; the grid is held. It can be wrapped again: corrections of a camera
@@ -246,7 +247,6 @@ class Corrected:
         Name of the sensor plugin that `model` comes from, by which its state finds back.
     """
 
-    model: SensorModel
     grid: CorrectionGrid
     sensor: str
 
@@ -267,16 +267,6 @@ class Corrected:
     def crs(self) -> CRS:
         """That of the wrapped model."""
         return self.model.crs
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """That of the wrapped model."""
-        return self.model.size
-
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the wrapped model."""
-        return self.model.parameters
 
     @property
     def seed(self) -> tuple[float, float, float]:
@@ -307,10 +297,6 @@ class Corrected:
     def _turn(self, xyz: FloatArray) -> FloatArray:
         """Derivatives of the corrected by the ideal position (N, 2, 2)."""
         return np.eye(2) + self.grid.slopes(self.model.ground_to_image(xyz))
-
-    def with_values(self, values: FloatArray) -> Self:
-        """Model with other parameter values (P,) behind the same grid."""
-        return replace(self, model=self.model.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values, with the sensor's name."""

@@ -8,7 +8,7 @@ other, over the plane map (u, v): lattice, kernels, orthos and mosaics serve it 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self
 
@@ -20,7 +20,7 @@ from geomosaic.geo.crs import geocentric, geographic, has_heights, is_local
 from geomosaic.geo.transform import Transform
 from geomosaic.limits import Limits
 from geomosaic.sensor import corrected as state_of
-from geomosaic.sensor.plugin import HasRays, Parameters, SensorModel
+from geomosaic.sensor.plugin import HasRays, WrappedModel
 from geomosaic.sensor.solve.inverse import image_to_height
 from geomosaic.surface.developed.placement import Developed
 from geomosaic.types import FloatArray
@@ -33,7 +33,7 @@ RISE, FAR = 10.0, 10_000.0
 
 
 @dataclass(frozen=True, eq=False)
-class DevelopedModel:
+class DevelopedModel(WrappedModel):
     """A sensor model over a developed surface.
 
     Attributes
@@ -46,7 +46,6 @@ class DevelopedModel:
         Largest angle between the line of sight and the surface's normal that is drawn, degrees.
     """
 
-    model: SensorModel
     surface: Developed
     sensor: str
     oblique: float = OBLIQUE
@@ -59,16 +58,6 @@ class DevelopedModel:
     def crs(self) -> CRS:
         """3-D CRS of u, v and h."""
         return self.surface.crs
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """That of the wrapped model."""
-        return self.model.size
-
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the wrapped model."""
-        return self.model.parameters
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -194,10 +183,6 @@ class DevelopedModel:
         uvh = self.surface.coordinates(there) * [1.0, 1.0, 0.0]
         shown = np.isfinite(self.ground_to_image(uvh)).all(axis=1)
         return uvh[shown, :2], pixels[shown]
-
-    def with_values(self, values: FloatArray) -> Self:
-        """Model with other parameter values (P,) over the same surface."""
-        return replace(self, model=self.model.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values, with the sensor's name."""

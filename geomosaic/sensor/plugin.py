@@ -186,6 +186,32 @@ class SensorModel(Protocol):
         """Model of a state, as `to_dict` gives it."""
 
 
+@dataclass(frozen=True, eq=False)
+class WrappedModel:
+    """Base of sensor models around another one, whose size and parameters they have.
+
+    Attributes
+    ----------
+    model : SensorModel
+    """
+
+    model: SensorModel
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """That of the wrapped model."""
+        return self.model.size
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the wrapped model."""
+        return self.model.parameters
+
+    def with_values(self, values: FloatArray) -> Self:
+        """Model around the wrapped one with other parameter values (P,)."""
+        return replace(self, model=self.model.with_values(values))
+
+
 @runtime_checkable
 class HasRays(Protocol):
     """Optional power: lines of sight in closed form."""

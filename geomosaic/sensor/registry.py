@@ -136,6 +136,16 @@ def _names_by_origin() -> Iterator[str]:
     )
 
 
+def _loadable() -> Iterator[tuple[str, SensorPlugin]]:
+    """Names and plugins of the installed sensors that can be loaded, in the order of `_names_by_origin`."""
+    for name in _names_by_origin():
+        try:
+            tool = plugin(name)
+        except SensorError:
+            continue
+        yield name, tool
+
+
 def _first(power: Callable[[SensorPlugin], bool], what: str) -> str:
     """Name of the first sensor with a capability; a broken plugin is an error only where no other has it."""
     broken: SensorError | None = None
@@ -176,14 +186,7 @@ def relative_sensor() -> str:
 
 def embedded_sensors() -> list[str]:
     """Names of the sensors whose models images may carry: rigorous ones before rational polynomials made of them."""
-    found = []
-    for name in _names_by_origin():
-        try:
-            tool = plugin(name)
-        except SensorError:
-            continue
-        if tool.capabilities.embedded:
-            found.append(name)
+    found = [name for name, tool in _loadable() if tool.capabilities.embedded]
     return sorted(found, key=lambda name: isinstance(plugin(name), HasRational))
 
 
@@ -221,11 +224,7 @@ def check_camera(camera: Mapping[str, Any], where: str) -> None:
         No sensor knows a key; names it, and the nearest one that exists. A sensor that checks no keys takes any.
     """
     refusal: SensorInputError | None = None
-    for name in _names_by_origin():
-        try:
-            tool = plugin(name)
-        except SensorError:
-            continue
+    for _, tool in _loadable():
         if any(entry.name == "camera" for entry in tool.inputs):
             if not isinstance(tool, HasCameraCheck):
                 return

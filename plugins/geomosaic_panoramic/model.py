@@ -18,7 +18,7 @@ from pyproj import CRS
 from geomosaic.geo.crs import geographic
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
-from geomosaic.sensor.plugin import ControlBlunder, Parameters
+from geomosaic.sensor.plugin import ControlBlunder, Parameters, WrappedModel
 from geomosaic.sensor.ray_corrections import RayCorrection
 from geomosaic.types import FloatArray
 from geomosaic_panoramic.geometry import Scan, Sweeps
@@ -167,7 +167,7 @@ SAID = "relative metres: x across, y ahead of the scanner; the strip has no plac
 
 
 @dataclass(frozen=True)
-class RelativeStrip:
+class RelativeStrip(WrappedModel):
     """Sensor model of a strip without a place, over ground of one height, in a map of its own.
 
     Attributes
@@ -188,16 +188,6 @@ class RelativeStrip:
     def crs(self) -> CRS:
         """The strip's own map."""
         return CRS.from_wkt(LOCAL)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in pixels."""
-        return self.model.size
-
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the strip."""
-        return self.model.parameters
 
     @property
     def seed(self) -> tuple[float, float, float]:
@@ -242,10 +232,6 @@ class RelativeStrip:
         return self.model.ground_to_image(
             self.model.frame.to_geocentric(np.column_stack([east, north, np.full_like(x, -self.above)]))
         )
-
-    def with_values(self, values: FloatArray) -> Self:
-        """Strip with other parameter values (P,)."""
-        return replace(self, model=self.model.with_values(values))
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
