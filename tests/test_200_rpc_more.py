@@ -16,9 +16,10 @@ from geomosaic.cli.main import run
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.inputs.orientation_covariance import orientation
-from geomosaic.monoplotting import InputUncertainty, View, ellipses, locate
-from geomosaic.monoplotting.line_drawing import VISIBLE
+from geomosaic.monoplotting.line_drawing import VISIBLE, View
+from geomosaic.monoplotting.places import locate
 from geomosaic.sensor import registry
+from geomosaic.sensor.error_propagation import InputUncertainty, ellipses
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.surface.dem import Dem

@@ -14,8 +14,8 @@ from pyproj import CRS
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
-from geomosaic.monoplotting import View
 from geomosaic.monoplotting.digitizing import ShownLayer, with_shared_vertices
+from geomosaic.monoplotting.line_drawing import View
 from geomosaic.monoplotting.pictures import MapPicture, PhotoPicture, RasterPicture
 from geomosaic.sensor import registry
 from geomosaic.sensor.plugin import SensorModel, SensorRequest

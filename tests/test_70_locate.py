@@ -16,9 +16,10 @@ from geomosaic.errors import HeightDatumError, InputError
 from geomosaic.geo.crs import geographic, has_heights, height_name, parse_crs, with_heights
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.orientation_covariance import orientation
-from geomosaic.monoplotting import InputUncertainty, View, draw, ellipses, ground_crs, locate
-from geomosaic.monoplotting.line_drawing import OCCLUDED, VISIBLE, trace
+from geomosaic.monoplotting.line_drawing import OCCLUDED, VISIBLE, View, draw, trace
+from geomosaic.monoplotting.places import ground_crs, locate
 from geomosaic.sensor import registry
+from geomosaic.sensor.error_propagation import InputUncertainty, ellipses
 from geomosaic.sensor.plugin import SensorModel, SensorRequest
 from geomosaic.surface.model import Plane
 from geomosaic_rpc import fit_rpc

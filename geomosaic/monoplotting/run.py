@@ -18,12 +18,12 @@ from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.orientation_covariance import orientation, table_covariances
 from geomosaic.inputs.orientation_plausibility import FAR, median_distance
 from geomosaic.inputs.summary import control_discrepancies
-from geomosaic.monoplotting import InputUncertainty, Places, ground_crs
-from geomosaic.monoplotting import locate as locate_points
 from geomosaic.monoplotting.line_drawing import View, draw
 from geomosaic.monoplotting.places import (
+    Places,
     axes_of,
     check_name,
+    ground_crs,
     is_digitized,
     outside_image,
     read_digitized,
@@ -32,9 +32,11 @@ from geomosaic.monoplotting.places import (
     write_csv,
     write_frame,
 )
+from geomosaic.monoplotting.places import locate as locate_points
 from geomosaic.options.control import DrawOptions, LocateOptions
 from geomosaic.options.declaration import compose
 from geomosaic.raster.vector import VectorProduct, read_layer, read_product
+from geomosaic.sensor.error_propagation import InputUncertainty
 from geomosaic.sensor.plugin import SensorModel
 from geomosaic.stores.path import given_path
 from geomosaic.surface.dem import Dem, height_sigmas

@@ -18,13 +18,14 @@ from geomosaic.geo.units import metres_per_unit
 from geomosaic.inputs.build import build_block
 from geomosaic.jobs.manifest import Layout
 from geomosaic.jobs.steps.orient import restore_block
-from geomosaic.monoplotting import InputUncertainty, View, ground_crs, locate
+from geomosaic.monoplotting.line_drawing import View
 from geomosaic.monoplotting.pictures import MapPicture, PhotoPicture, Picture, RasterPicture
-from geomosaic.monoplotting.places import outside_image
+from geomosaic.monoplotting.places import ground_crs, locate, outside_image
 from geomosaic.monoplotting.run import oriented
 from geomosaic.project.load import Project
 from geomosaic.project.scenes import project_scene
 from geomosaic.raster.info import inspect
+from geomosaic.sensor.error_propagation import InputUncertainty
 from geomosaic.studio.workspace import Workspace, file_stamp
 from geomosaic.surface.dem import height_sigmas
 from geomosaic.surface.model import Surface
