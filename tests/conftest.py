@@ -7,9 +7,10 @@ import importlib.util
 import os
 import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 # Tests fill the processors; threads of linear algebra would only wait for each other. Set before NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -123,3 +124,38 @@ def tell(capsys) -> Callable[..., tuple[int, str, str]]:
         return code, *capsys.readouterr()
 
     return call
+
+
+@pytest.fixture(scope="session")
+def object_server() -> Iterator[Any]:
+    """S3 server of moto with the bucket `tests`, in a process of its own; keys are checked."""
+    from rigs.object_store import NO_MOTO, moto_python, moto_server
+
+    if moto_python() is None:
+        pytest.skip(NO_MOTO)
+    with moto_server() as server:
+        yield server
+
+
+@pytest.fixture
+def object_store(object_server: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Bucket `tests` behind a proxy that counts and makes faults, as the environment of the process has it."""
+    from rigs.object_store import proxied
+
+    from geomosaic.stores import clients, objects
+
+    with proxied(object_server.endpoint) as proxy:
+        settings = {
+            "AWS_ACCESS_KEY_ID": object_server.key,
+            "AWS_SECRET_ACCESS_KEY": object_server.secret,
+            "AWS_ENDPOINT_URL": proxy.endpoint,
+            "GDAL_HTTP_MAX_RETRY": "4",
+            "GDAL_HTTP_RETRY_DELAY": "0.02",
+        }
+        for name, value in settings.items():
+            monkeypatch.setenv(name, value)
+        clients.forget()
+        objects.forget()
+        yield proxy
+    clients.forget()
+    objects.forget()

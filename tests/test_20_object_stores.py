@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from rigs.mosaic_rig import write
-from rigs.object_store import NO_MOTO, Proxy, Server, moto_python, moto_server, proxied
+from rigs.object_store import Proxy, Server
 
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.grid import Window
+from geomosaic.raster.files import check_output
 from geomosaic.raster.source import Source
 from geomosaic.stores import clients, objects
 from geomosaic.stores.addresses import masked
@@ -80,44 +80,11 @@ def test_an_address_that_only_a_file_names_is_not_opened() -> None:
 
 def test_https_is_refused_as_an_output() -> None:
     with pytest.raises(InputError, match="read only"):
-        write_atomic_checked(given_path("https://127.0.0.1/a.txt"))
+        _check(given_path("https://127.0.0.1/a.txt"))
 
 
-def write_atomic_checked(path: Path) -> None:
-    from geomosaic.raster.files import check_output
-
+def _check(path: Path) -> None:
     check_output(path, overwrite=True)
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[Server]:
-    if moto_python() is None:
-        pytest.skip(NO_MOTO)
-    with moto_server() as found:
-        yield found
-
-
-@pytest.fixture
-def store(server: Server, monkeypatch: pytest.MonkeyPatch) -> Iterator[Proxy]:
-    """Bucket `tests` behind a proxy, as the environment of the process has it."""
-    with proxied(server.endpoint) as proxy:
-        settings = {
-            "AWS_ACCESS_KEY_ID": server.key,
-            "AWS_SECRET_ACCESS_KEY": server.secret,
-            "AWS_ENDPOINT_URL": proxy.endpoint,
-            "GDAL_HTTP_MAX_RETRY": "4",
-            "GDAL_HTTP_RETRY_DELAY": "0.02",
-        }
-        for name, value in settings.items():
-            monkeypatch.setenv(name, value)
-        _forget()
-        yield proxy
-    _forget()
-
-
-def _forget() -> None:
-    clients.forget()
-    objects.forget()
 
 
 def _raster(folder: Path, name: str = "a.tif") -> Path:
@@ -128,7 +95,7 @@ def _raster(folder: Path, name: str = "a.tif") -> Path:
     return local
 
 
-def test_windows_are_read_by_ranges_that_are_counted(store: Proxy, tmp_path: Path) -> None:
+def test_windows_are_read_by_ranges_that_are_counted(object_store: Proxy, tmp_path: Path) -> None:
     import rasterio
 
     local = _raster(tmp_path)
@@ -136,11 +103,11 @@ def test_windows_are_read_by_ranges_that_are_counted(store: Proxy, tmp_path: Pat
     assert isinstance(remote, StorePath)
     remote.upload(local)
     windows = [Window(300, 200, 500, 400), Window(1500, 1200, 500, 300)]
-    before, told = len(store.seen), traffic()
+    before, told = len(object_store.seen), traffic()
     with Source(remote) as there, Source(local) as here:
         for window in windows:
             np.testing.assert_array_equal(there.read(window)[0], here.read(window)[0])
-    got = [one for one in store.seen[before:] if one.path.startswith("/tests/ranges/a.tif")]
+    got = [one for one in object_store.seen[before:] if one.path.startswith("/tests/ranges/a.tif")]
     sent = sum(one.sent for one in got)
     with rasterio.open(local) as dataset:
         touched = {
@@ -155,23 +122,23 @@ def test_windows_are_read_by_ranges_that_are_counted(store: Proxy, tmp_path: Pat
     assert all(one.range for one in got)
 
 
-def test_a_storm_and_cut_connections_are_ridden_out(store: Proxy, tmp_path: Path) -> None:
+def test_a_storm_and_cut_connections_are_ridden_out(object_store: Proxy, tmp_path: Path) -> None:
     local = _raster(tmp_path)
     remote = given_path("s3://tests/faults/a.tif")
-    store.storm = 3
+    object_store.storm = 3
     remote.upload(local)  # type: ignore[attr-defined]
-    store.storm, store.cut = 2, 2
+    object_store.storm, object_store.cut = 2, 2
     with Source(remote) as there, Source(local) as here:
         window = Window(700, 700, 300, 300)
         np.testing.assert_array_equal(there.read(window)[0], here.read(window)[0])
-    assert store.storm == store.cut == 0
+    assert object_store.storm == object_store.cut == 0
 
 
-def test_a_storm_without_end_is_told_in_time(store: Proxy, tmp_path: Path) -> None:
+def test_a_storm_without_end_is_told_in_time(object_store: Proxy, tmp_path: Path) -> None:
     remote = given_path("s3://tests/endless/a.tif")
     remote.upload(_raster(tmp_path))  # type: ignore[attr-defined]
     with Source(remote) as there:
-        store.storm = 10**6
+        object_store.storm = 10**6
         started = time.monotonic()
         with pytest.raises(GeomosaicError, match=r"\(503\), after 4 tries more") as error:
             there.read(Window(700, 700, 300, 300))
@@ -179,7 +146,7 @@ def test_a_storm_without_end_is_told_in_time(store: Proxy, tmp_path: Path) -> No
         with pytest.raises(GeomosaicError, match="503"):
             write_atomic(given_path("s3://tests/endless/b.txt"), "text")
         assert time.monotonic() - started < 20
-    store.storm = 0
+    object_store.storm = 0
 
 
 @pytest.mark.parametrize(
@@ -192,55 +159,56 @@ def test_a_storm_without_end_is_told_in_time(store: Proxy, tmp_path: Path) -> No
     ],
 )
 def test_a_wrong_key_or_bucket_is_told_before_work(
-    store: Proxy, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, name: str, says: str, hint: str
+    object_store: Proxy, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, name: str, says: str, hint: str
 ) -> None:
     monkeypatch.setenv(variable, value)
-    _forget()
-    for ask in (Source, write_atomic_checked, lambda path: read_text(path, "table")):
+    clients.forget()
+    objects.forget()
+    for ask in (Source, _check, lambda path: read_text(path, "table")):
         with pytest.raises(GeomosaicError, match=says) as error:
             ask(given_path(name))
         assert hint in (error.value.hint or "")
         assert "wrong" not in str(error.value)
 
 
-def test_an_upload_that_fails_leaves_nothing(store: Proxy, server: Server, tmp_path: Path) -> None:
+def test_an_upload_that_fails_leaves_nothing(object_store: Proxy, object_server: Server, tmp_path: Path) -> None:
     large = tmp_path / "large.bin"
     large.write_bytes(np.random.default_rng(1).bytes(20 << 20))
     remote = given_path("s3://tests/whole/large.bin")
     assert isinstance(remote, StorePath)
-    store.refuse = r"PUT .*partNumber=3"
+    object_store.refuse = r"PUT .*partNumber=3"
     with pytest.raises(GeomosaicError, match="503"):
         remote.upload(large)
     assert not remote.exists()
-    assert server.uploads() == 0
-    store.refuse = ""
+    assert object_server.uploads() == 0
+    object_store.refuse = ""
     remote.upload(large)
-    assert sum("partNumber" in one.path and one.status == 200 for one in store.seen) >= 3
+    assert sum("partNumber" in one.path and one.status == 200 for one in object_store.seen) >= 3
     assert remote.read_bytes() == large.read_bytes()
-    assert server.uploads() == 0
+    assert object_server.uploads() == 0
 
 
-def test_the_check_of_rights_leaves_nothing(store: Proxy, server: Server) -> None:
-    write_atomic_checked(given_path("s3://tests/rights/a.tif"))
-    assert [one.method for one in store.seen].count("POST") == 1
-    assert server.uploads() == 0
+def test_the_check_of_rights_leaves_nothing(object_store: Proxy, object_server: Server) -> None:
+    _check(given_path("s3://tests/rights/a.tif"))
+    assert [one.method for one in object_store.seen].count("POST") == 1
+    assert object_server.uploads() == 0
     assert not list(given_path("s3://tests/rights").iterdir())
 
 
-def test_what_lies_beside_an_image_in_a_store_belongs_to_it(store: Proxy, tmp_path: Path) -> None:
+def test_what_lies_beside_an_image_in_a_store_belongs_to_it(object_store: Proxy, tmp_path: Path) -> None:
     """World files are looked for by one list of names, not forty requests."""
     local = tmp_path / "photo.png"
     Image.fromarray(np.zeros((64, 64), dtype=np.uint8)).save(local)
     given_path("s3://tests/beside/photo.png").upload(local)  # type: ignore[attr-defined]
     write_atomic(given_path("s3://tests/beside/photo.pgw"), "2\n0\n0\n-2\n1001\n1999\n")
-    before = len(store.seen)
+    before = len(object_store.seen)
     with Source(given_path("s3://tests/beside/photo.png")) as source:
         assert source.info.transform is not None
         assert source.info.transform.c == 1000.0
-    assert len(store.seen) - before <= 5
+    assert len(object_store.seen) - before <= 5
 
 
-def test_a_virtual_raster_in_a_store_reads_its_own_folder_alone(store: Proxy, tmp_path: Path) -> None:
+def test_a_virtual_raster_in_a_store_reads_its_own_folder_alone(object_store: Proxy, tmp_path: Path) -> None:
     given_path("s3://tests/virtual/a.tif").upload(_raster(tmp_path))  # type: ignore[attr-defined]
     text = (
         '<VRTDataset rasterXSize="2000" rasterYSize="1500"><VRTRasterBand dataType="Byte" band="1"><SimpleSource>'
@@ -259,7 +227,7 @@ def test_a_virtual_raster_in_a_store_reads_its_own_folder_alone(store: Proxy, tm
             Source(other)
     here = tmp_path / "here.vrt"
     here.write_text(text.format(0, "/vsis3/tests/virtual/a.tif"))
-    before = len(store.seen)
+    before = len(object_store.seen)
     with pytest.raises(GeomosaicError, match="no file of this machine"):
         Source(here)
-    assert len(store.seen) == before
+    assert len(object_store.seen) == before

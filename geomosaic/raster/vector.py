@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -262,8 +263,8 @@ def read_table(path: PathLike, name: str) -> Any:
 _LARGEST = 1 << 30
 
 
-def readable(path: PathLike) -> PathLike | bytes:
-    """What OGR reads of a file of vectors: its path, or the bytes of one in a store.
+def readable(path: PathLike) -> PathLike:
+    """Path that OGR reads a file of vectors from: its own, or that of a copy in the scratch folder of one in a store.
 
     Parameters
     ----------
@@ -277,18 +278,30 @@ def readable(path: PathLike) -> PathLike | bytes:
     file = to_path(path)
     if not isinstance(file, StorePath):
         return path
-    size = file.stat().st_size
-    if size > _LARGEST or file.suffix.lower() == ".shp":
-        what = "a shapefile is several files" if size <= _LARGEST else f"the file is larger than {_LARGEST >> 30} GB"
+    facts = file.stat()
+    if facts.st_size > _LARGEST or file.suffix.lower() == ".shp":
+        what = "a shapefile is several files" if facts.st_size <= _LARGEST else "the file is larger than 1 GB"
         raise InputError(
             f"{what}, and from a store vectors are read whole", where=str(path), hint="give a GeoPackage of it"
         )
-    return _whole(str(file), file.stat().st_mtime_ns)
+    return _copy(str(file), facts.st_mtime_ns)
 
 
-@lru_cache(maxsize=4)
-def _whole(path: str, time: int) -> bytes:
-    return to_path(path).read_bytes()
+@cache
+def _scratch() -> tempfile.TemporaryDirectory[str]:
+    """Folder of such copies, removed with the process."""
+    return tempfile.TemporaryDirectory(prefix="geomosaic-")
+
+
+@cache
+def _copy(path: str, time: int) -> Path:
+    """Copy of an object as it was at a time, under its own name, by whose ending formats are known."""
+    file = to_path(path)
+    folder = Path(_scratch().name) / f"{len(list(Path(_scratch().name).iterdir()))}"
+    folder.mkdir()
+    copy = folder / file.name
+    copy.write_bytes(file.read_bytes())
+    return copy
 
 
 def layer_counts(path: PathLike) -> dict[str, int]:

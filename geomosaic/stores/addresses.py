@@ -136,7 +136,8 @@ def _web(scheme: str, rest: str) -> str:
         raise InputError("http:// is read from this machine only", where=shown, hint="give https://")
     access, known = Access(user, parts.query), _access.get(shown)
     if access != Access():
-        if known not in (None, access) and not (_SIGNED.search(access.query) and _SIGNED.search(known.query)):
+        queries = {one.query for one in (access, known) if one is not None and one.query}
+        if len(queries) > 1 and not all(map(_SIGNED.search, queries)):
             raise InputError(
                 "two addresses differ in nothing but their query", where=shown, hint="give addresses of files"
             )

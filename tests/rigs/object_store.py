@@ -181,3 +181,46 @@ def moto_server() -> Iterator[Server]:
         for pipe in (process.stdin, process.stdout):
             if pipe is not None:
                 pipe.close()
+
+
+@contextmanager
+def web_server(folder: Path, query: str, user: str) -> Iterator[str]:
+    """Web server of a folder, which answers to a query or a user (`name:password`) alone; gives `http://host:port`."""
+    import base64
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            parts = urlsplit(self.path)
+            known = f"Basic {base64.b64encode(user.encode()).decode()}"
+            file = folder / parts.path.lstrip("/")
+            status, content, headers = 200, b"", {}
+            if parts.query != query and self.headers.get("Authorization") != known:
+                status = 403
+            elif not file.is_file():
+                status = 404
+            else:
+                content = file.read_bytes()
+                headers = {"Last-Modified": "Sat, 01 Jan 2022 00:00:00 GMT"}
+                if found := re.match(r"bytes=(\d+)-(\d+)", self.headers.get("Range") or ""):
+                    start, stop = int(found[1]), min(int(found[2]) + 1, len(content))
+                    headers["Content-Range"] = f"bytes {start}-{stop - 1}/{len(content)}"
+                    status, content = 206, content[start:stop]
+            self.send_response(status)
+            for name, value in {**headers, "Content-Length": str(len(content))}.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+    finally:
+        server.shutdown()
+        server.server_close()
