@@ -125,7 +125,7 @@ def test_an_ortho_holds_the_mean_of_calibrated_powers(tmp_path):
         assert (file.dtypes[0], file.descriptions[0], file.units[0]) == (
             "float32", "sigma nought (m2/m2)", "m2/m2",
         )  # fmt: skip
-    mosaic = gm.mosaic(scene, tmp_path / "mosaic.tif", resampling="average", resolution=60.0, balance=False)
+    mosaic = gm.mosaic(scene, tmp_path / "mosaic.tif", resampling="average", resolution=60.0)
     assert mosaic.read().mean() == pytest.approx(made.read().mean(), rel=1e-3)
     with rasterio.open(tmp_path / "mosaic.tif") as file:
         assert (file.dtypes[0], file.descriptions[0]) == ("float32", "sigma nought (m2/m2)")

@@ -20,7 +20,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Blender, Seams
 from geomosaic.mosaicking.blending.choice import transition_px, with_blending
 from geomosaic.mosaicking.colour.corrections import Correction, corrections, image_numbers, retouched, rounded
-from geomosaic.mosaicking.colour.solve import colour_balance
+from geomosaic.mosaicking.colour.solve import colour_balance, keeping_calibration
 from geomosaic.mosaicking.outputs import MosaicFiles, MosaicUnit, label_type
 from geomosaic.mosaicking.precedence import filling_images, filling_ranks, image_order
 from geomosaic.mosaicking.provenance import source_facts, write_views
@@ -319,7 +319,7 @@ def mosaic(
     OutputError
         Writing failed.
     """
-    options = options or MosaicOptions()
+    options = keeping_calibration(options or MosaicOptions(), block.scenes)
     if options.merge.rule is not None:
         return _by_rule(block, grid, outlines, output, options, reference=reference, about=about)
     from shapely import Polygon

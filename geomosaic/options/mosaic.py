@@ -98,7 +98,7 @@ class ColourOptions(CheckedOptions, group="colour", stage="colour", section="mos
     """
 
     balance: bool | None = option(
-        None, "Balance colours over the overlaps.", shown="balance, but not with --rule",
+        None, "Balance colours over the overlaps.", shown="balance, but not with --rule, nor what is calibrated",
         idle_with=("histogram", "rule=count"),
     )  # fmt: skip
     colour: tuple[str, ...] = option(

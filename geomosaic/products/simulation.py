@@ -9,14 +9,13 @@ import numpy as np
 
 from geomosaic.control.points import ControlPoints, Origin, mean_sigmas
 from geomosaic.errors import InputError, counted
-from geomosaic.geo.crs import crs_code, horizontal
+from geomosaic.geo.crs import crs_code
 from geomosaic.geo.grid import Window
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_table import write_control
 from geomosaic.inputs.declarations import Block, on_ground
 from geomosaic.raster.source import Source
-from geomosaic.render.extent import output_crs
 from geomosaic.render.radar_simulation import SimulatedControl, matched_control
 from geomosaic.sensor.plugin import HasSensorPositions
 from geomosaic.surface.dem import Dem
@@ -122,8 +121,7 @@ def match_simulation(
             seen = np.ones(amplitude.shape, dtype=np.bool_) if valid is None else valid.astype(np.bool_)
             return amplitude, seen & (amplitude > 0.0)
 
-        crs = horizontal(surface.crs) if surface.crs.is_projected else output_crs(block.scenes, surface)
-        matched = matched_control(one.model, surface, crs, read, tile, reach)
+        matched = matched_control(one.model, surface, read, tile, reach)
     if len(matched.ground) < LEAST:
         raise InputError(
             f"{counted(len(matched.ground), 'window')} of the scene look like their simulation, and {LEAST} are needed",

@@ -80,6 +80,16 @@ class CalibratedValues:
         return out
 
 
+def calibration_of(scene: OrientedImage) -> Calibration | None:
+    """Calibration of an image, None where its values stay as they are.
+
+    Parameters
+    ----------
+    scene : OrientedImage
+    """
+    return scene.model.calibration if isinstance(scene.model, HasRadiometry) else None
+
+
 def calibrated_values(scene: OrientedImage, surface: Surface | None) -> CalibratedValues | None:
     """Quantity that the values of an image are to be read as; None where they stay as they are.
 
@@ -122,12 +132,33 @@ def image_info(scene: OrientedImage) -> SourceInfo:
     ----------
     scene : OrientedImage
     """
-    info, known = inspect(scene.path, scene.bands), _calibration(scene)
+    info, known = inspect(scene.path, scene.bands), calibration_of(scene)
     return info if known is None else info.calibrated(known.quantity, known.unit)
 
 
-def check_calibrations(scenes: Sequence[OrientedImage], resampling: str) -> None:
-    """Check that powers are not squared, and that images which become one raster hold one quantity.
+def check_quantities(scenes: Sequence[OrientedImage]) -> None:
+    """Check that images which are to become one hold the same quantity.
+
+    Parameters
+    ----------
+    scenes : sequence of OrientedImage
+
+    Raises
+    ------
+    InputError
+        Two of them do not.
+    """
+    names = [getattr(calibration_of(scene), "quantity", "values that are not calibrated") for scene in scenes]
+    for scene, own in zip(scenes, names, strict=True):
+        if own != names[0]:
+            raise InputError(
+                f"the image holds {own}, '{scenes[0].name}' holds {names[0]}", where=scene.path,
+                hint="calibrate all to one quantity",
+            )  # fmt: skip
+
+
+def check_squares(scenes: Sequence[OrientedImage], resampling: str) -> None:
+    """Check that powers are not squared.
 
     Parameters
     ----------
@@ -137,22 +168,14 @@ def check_calibrations(scenes: Sequence[OrientedImage], resampling: str) -> None
     Raises
     ------
     InputError
+        The resampling is that of amplitudes, and an image holds powers.
     """
-    for scene, first in ((scene, scenes[0]) for scene in scenes):
-        own, other = _quantity(scene), _quantity(first)
-        if own != other:
-            raise InputError(
-                f"the image holds {own or 'values that are not calibrated'}, '{first.name}' holds "
-                f"{other or 'values that are not calibrated'}",
-                where=scene.path,
-                hint="calibrate all to one quantity",
-            )
-        if own and resampling == "rms":
-            raise InputError(
-                f"`resampling=rms` averages amplitudes in power, and {own} is power already",
-                where=scene.path,
-                hint="leave it out, or use `resampling=average`",
-            )
+    known = next((found for found in map(calibration_of, scenes) if found is not None), None)
+    if known is not None and resampling == "rms":
+        raise InputError(
+            f"`resampling=rms` averages amplitudes in power, and {known.quantity} is power already",
+            where=scenes[0].path, hint="leave it out, or use `resampling=average`",
+        )  # fmt: skip
 
 
 def overview_mean(scenes: Sequence[OrientedImage], resampling: str) -> str:
@@ -167,12 +190,3 @@ def overview_mean(scenes: Sequence[OrientedImage], resampling: str) -> str:
     models = [scene.model for scene in scenes]
     amplitudes = all(isinstance(one, HasRadiometry) and one.amplitudes and one.calibration is None for one in models)
     return "rms" if resampling == "rms" or amplitudes else "average"
-
-
-def _calibration(scene: OrientedImage) -> Calibration | None:
-    return scene.model.calibration if isinstance(scene.model, HasRadiometry) else None
-
-
-def _quantity(scene: OrientedImage) -> str:
-    known = _calibration(scene)
-    return "" if known is None else known.quantity

@@ -86,15 +86,21 @@ class IlluminatedArea:
                 self._parts.move_to_end(key)
                 return found
         # Three digits are better than any DEM.
-        found = self._summed(part).astype(np.float16)
+        found = self.summed(part).astype(np.float16)
         with self._lock:
             self._parts[key] = found
             while sum(one.nbytes for one in self._parts.values()) > HELD:
                 self._parts.popitem(last=False)
         return found
 
-    def _summed(self, part: Window) -> FloatArray:
-        """A_γ / A_β of a part, from the facets of all rows and columns whose ground can fall into it."""
+    def summed(self, part: Window) -> FloatArray:
+        """A_γ / A_β (rows, cols) of one part, from the facets of all rows and columns whose ground can fall into it.
+
+        Parameters
+        ----------
+        part : Window
+            Of the scene.
+        """
         level = _Level.under(self.model, self.surface, part)
         if level is None:
             return np.full((part.height, part.width), np.nan)

@@ -24,7 +24,7 @@ from geomosaic.raster.files import check_output_size
 from geomosaic.raster.info import joined
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Stack, UnevenStackError
-from geomosaic.render.calibrated import check_calibrations, overview_mean
+from geomosaic.render.calibrated import check_squares, overview_mean
 from geomosaic.render.photo import Photo, Rectifier, refuse_palette
 from geomosaic.resample.warp import Colour, Target
 from geomosaic.sensor.lattice import Lattice, blocks, finite_median
@@ -369,7 +369,7 @@ class _RectifiedUnits:
     ) -> None:
         self._made_of = scenes, surface, grid, outlines
         self._grid, self._options, self.tiler = grid, options, tiler
-        check_calibrations(scenes, options.resampling)
+        check_squares(scenes, options.resampling)
         memory = options.spare_memory // len(scenes)
         self._photos = [
             Photo.open(scene, surface, grid, outline, memory) for scene, outline in zip(scenes, outlines, strict=True)

@@ -16,7 +16,7 @@ from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.window_index import WindowIndex
 from geomosaic.options.render import BLOCK_HEIGHT, SampleOptions
 from geomosaic.raster.source import SourceInfo
-from geomosaic.render.calibrated import check_calibrations, image_info
+from geomosaic.render.calibrated import check_quantities, check_squares, image_info
 from geomosaic.render.photo import Photo, refuse_palette, sample_scales
 
 
@@ -87,7 +87,8 @@ class Photos:
         self.block, self.grid, self.outlines = block, grid, outlines
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
         self._index = WindowIndex(self.windows)
-        check_calibrations(block.scenes, resampling)
+        check_quantities(block.scenes)
+        check_squares(block.scenes, resampling)
         infos = [image_info(scene) for scene in block.scenes]
         for info in infos:
             refuse_palette(info, resampling)

@@ -1,9 +1,9 @@
-"""Simulation of a radar scene from the ground and the orbit alone, and its match with the scene.
+"""Match of a radar scene with its simulation from the ground and the orbit alone.
 
-Each facet of the ground sends back its area times cos² of the local incidence angle (a Lambertian surface: the area lit
-and the direction that it sends to each bring one cosine), which falls on the pixels around its place in the image:
-powers of layover add up there, and what lies in shadow sends nothing. The law matters little: what is matched is where
-slopes are bright and dark. Points are hard to see in a radar image; of hills the simulation has as many as there are.
+The brightness that is expected is that of ground of one gamma nought: the area that is lit in each pixel, across the
+line of sight (`illuminated_area`). Layover adds up there, and shadow sends nothing. The law matters little: what is
+matched is where slopes are bright and dark. Points are hard to see in a radar image; of hills the simulation has as
+many as there are.
 """
 
 from __future__ import annotations
@@ -13,16 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from affine import Affine
-from pyproj import CRS
 
-from geomosaic.geo.crs import horizontal
-from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.grid import Window
 from geomosaic.geo.transform import Transform
 from geomosaic.matching.shifts import shifts
-from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH
-from geomosaic.render.radar_terrain import RadarTerrain
-from geomosaic.resample.layover_shadow import LAYOVER, SHADOW, UNKNOWN
+from geomosaic.render.illuminated_area import IlluminatedArea
 from geomosaic.sensor.solve import image_to_ground
 from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray
@@ -33,25 +28,6 @@ LOOKS = 5
 MOST = 12
 # Share of a tile's variance that the simulation must explain; one look of speckle leaves little.
 LEAST_CORRELATION = 0.25
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedScene:
-    """Expected powers of a radar scene.
-
-    Attributes
-    ----------
-    power : array (rows, cols)
-        In units of a level pixel's area; 0 where nothing comes from.
-    ground : array (rows, cols, 3)
-        Mean place, by power, of the ground that a pixel shows, in the model's frame; NaN without power.
-    single : bool array (rows, cols)
-        Pixels that show one stretch of ground, without layover.
-    """
-
-    power: FloatArray
-    ground: FloatArray
-    single: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,58 +54,9 @@ class SimulatedControl:
     correlation: FloatArray
 
 
-def simulated_scene(model: Any, surface: Surface, grid: Grid, region: Window) -> SimulatedScene:
-    """Expected powers of a part of a radar scene.
-
-    Parameters
-    ----------
-    model : SensorModel with `sensor_positions`
-    surface : Surface
-    grid : Grid
-        Whose pixels are the facets: they cover the ground of the part and are at most half as large as its pixels.
-    region : Window
-        Part of the scene.
-    """
-    width, height = region.width, region.height
-    corner = np.array([region.col, region.row])
-    terrain = RadarTerrain(grid, surface, model)
-    power, layered = np.zeros(width * height), np.zeros(width * height)
-    places = np.zeros((3, width * height))
-    # Sums of coordinates of the Earth's size would lose millimetres.
-    origin = np.array(model.seed)
-    for window in grid.window.split(2 * BLOCK_WIDTH, BLOCK_HEIGHT):
-        classes, facets = terrain.classes(window), terrain.facets(window)
-        sends = (classes & (SHADOW | UNKNOWN) == 0) & (facets.cosine > 0.0)
-        ground = facets.places[sends]
-        image = model.ground_to_image(ground) - corner - 0.5
-        near = np.isfinite(image).all(axis=1) & (image > -1.0).all(axis=1) & (image < [width, height]).all(axis=1)
-        image, ground = image[near], ground[near] - origin
-        sent = (facets.area[sends] * facets.cosine[sends] ** 2)[near]
-        over = (classes[sends] & LAYOVER > 0)[near]
-        first = np.floor(image).astype(int)
-        part = image - first
-        for right in (0, 1):
-            for down in (0, 1):
-                col, row = first[:, 0] + right, first[:, 1] + down
-                share = np.abs(1 - right - part[:, 0]) * np.abs(1 - down - part[:, 1]) * sent
-                inside = (col >= 0) & (col < width) & (row >= 0) & (row < height)
-                index, share = (row * width + col)[inside], share[inside]
-                power += np.bincount(index, share, width * height)
-                layered += np.bincount(index, share * over[inside], width * height)
-                for axis in range(3):
-                    places[axis] += np.bincount(index, share * ground[inside, axis], width * height)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = origin + (places / power).T
-    pixel = grid.resolution[0] * grid.resolution[1]
-    shape = height, width
-    single = (power > 0.0) & (layered <= 0.0)
-    return SimulatedScene((power / pixel).reshape(shape), mean.reshape(*shape, 3), single.reshape(shape))
-
-
 def matched_control(
     model: Any,
     surface: Surface,
-    crs: CRS,
     read: Callable[[Window], tuple[FloatArray, BoolArray]],
     tile: int,
     reach: int,
@@ -140,8 +67,6 @@ def matched_control(
     ----------
     model : SensorModel with `sensor_positions`
     surface : Surface
-    crs : CRS
-        Map, in which the facets lie.
     read : callable
         Amplitudes (rows, cols) of a window of the scene, and whether they are valid.
     tile : int
@@ -151,60 +76,25 @@ def matched_control(
     """
     kept = []
     margin = reach + 2
+    area = IlluminatedArea(model, surface)
     for region in _windows(model.size, tile, margin):
-        grid = facet_grid(model, surface, crs, region)
-        if grid is None:
-            continue
-        simulated = simulated_scene(model, surface, grid, region)
+        power = area.summed(region)
+        lit = np.isfinite(power)
         amplitude, valid = read(region)
-        expected, shown = _evened(simulated.power), _evened(amplitude.astype(np.float64) ** 2)
-        known = np.asarray(valid & (simulated.power > 0.0))
-        found = shifts(expected, shown, known, tile, reach, LEAST_CORRELATION)
-        inner = np.s_[margin:-margin, margin:-margin]
-        rows, cols = np.nonzero(simulated.single[inner])
-        if not found.matched.any() or not len(rows):
+        expected, shown = _evened(np.where(lit, power, 0.0)), _evened(amplitude.astype(np.float64) ** 2)
+        found = shifts(expected, shown, np.asarray(valid & lit), tile, reach, LEAST_CORRELATION)
+        if not found.matched.any():
             continue
-        covariance = _covariance(expected[inner], found.correlation[0])
-        if covariance is None:
-            continue
-        nearest = np.argmin((rows - tile / 2) ** 2 + (cols - tile / 2) ** 2)
-        ground = simulated.ground[inner][rows[nearest], cols[nearest]]
-        kept.append((ground, found.shifts[0], covariance, found.correlation[0]))
-    ground = np.array([one[0] for one in kept]).reshape(-1, 3)
+        covariance = _covariance(expected[margin:-margin, margin:-margin], found.correlation[0])
+        if covariance is not None:
+            middle = region.col + region.width / 2, region.row + region.height / 2
+            kept.append((middle, found.shifts[0], covariance, found.correlation[0]))
+    middles = np.array([one[0] for one in kept]).reshape(-1, 2)
     moved = np.array([one[1] for one in kept]).reshape(-1, 2)
     covariances = np.array([one[2] for one in kept]).reshape(-1, 2, 2)
-    places = model.ground_to_image(ground) if len(ground) else np.zeros((0, 2))
-    return SimulatedControl(ground, places + moved, covariances, moved, np.array([one[3] for one in kept]))
-
-
-def facet_grid(model: Any, surface: Surface, crs: CRS, region: Window) -> Grid | None:
-    """Grid over the ground of a part of a scene, in pixels half as large as its own; None where that is not known.
-
-    Parameters
-    ----------
-    model : SensorModel
-    surface : Surface
-    crs : CRS
-        Of the grid, a map.
-    region : Window
-        Of the scene.
-    """
-    across, down = np.linspace(region.col, region.stop_col, 5), np.linspace(region.row, region.stop_row, 5)
-    col, row = np.meshgrid(across, down)
-    edge = np.column_stack([col.ravel(), row.ravel()])
-    middle = np.array([[region.col + region.width / 2, region.row + region.height / 2]])
-    beside = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    ground = image_to_ground(model, np.concatenate([edge, beside]), surface)
-    if not np.isfinite(ground).all():
-        return None
-    xy = Transform(horizontal(surface.crs), crs)(ground[:, :2])
-    one, right, below = xy[-3:]
-    pixel = 0.5 * float(min(np.hypot(*(right - one)), np.hypot(*(below - one))))
-    low, high = xy[:-3].min(axis=0), xy[:-3].max(axis=0)
-    # Ground beside the part falls into it where it is higher or lower.
-    beyond = 0.15 * (high - low) + 4.0 * pixel
-    (left, bottom), (width, height) = low - beyond, np.ceil((high - low + 2.0 * beyond) / pixel).astype(int).tolist()
-    return Grid(crs, Affine(pixel, 0.0, float(left), 0.0, -pixel, float(bottom) + height * pixel), width, height)
+    # In layover the middle of a window shows several places; whichever it is, the model and the scene put it there.
+    ground = Transform(surface.crs, model.crs)(image_to_ground(model, middles, surface)) if kept else np.zeros((0, 3))
+    return SimulatedControl(ground, middles + moved, covariances, moved, np.array([one[3] for one in kept]))
 
 
 def _windows(size: tuple[int, int], tile: int, margin: int) -> Iterator[Window]:

@@ -47,25 +47,6 @@ class _Smooth:
 
 
 @dataclass(frozen=True, eq=False)
-class Facets:
-    """Ground of pixels as facets.
-
-    Attributes
-    ----------
-    places : array (rows, cols, 3)
-        Middles in the model's frame, metres.
-    area : array (rows, cols)
-        Square metres, along the slope.
-    cosine : array (rows, cols)
-        Of the local incidence angle; below zero where the ground is turned away.
-    """
-
-    places: FloatArray
-    area: FloatArray
-    cosine: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class RadarTerrain:
     """Terrain of an output as one radar scene sees it.
 
@@ -143,17 +124,6 @@ class RadarTerrain:
         ----------
         window : Window
         """
-        facets = self.facets(window)
-        angles: FloatArray = np.degrees(np.arccos(np.clip(facets.cosine, -1.0, 1.0)))
-        return angles
-
-    def facets(self, window: Window) -> Facets:
-        """Ground of the pixels of a window as facets.
-
-        Parameters
-        ----------
-        window : Window
-        """
 
         def pixels(row: FloatArray, col: FloatArray) -> FloatArray:
             c, r = np.meshgrid(window.col - 0.5 + col, window.row - 0.5 + row)
@@ -163,16 +133,12 @@ class RadarTerrain:
         line = smooth.at(self._heights(smooth.surface))
         places = smooth.sensor - line
         normal = np.cross(np.gradient(places, axis=0), np.gradient(places, axis=1))
-        area = np.sqrt(np.einsum("...i,...i->...", normal, normal))
         upwards = np.sign(np.einsum("...i,...i->...", normal, smooth.up))
+        lengths = np.sqrt(np.einsum("...i,...i->...", normal, normal) * np.einsum("...i,...i->...", line, line))
         with np.errstate(invalid="ignore", divide="ignore"):
-            cosine = (
-                upwards
-                * np.einsum("...i,...i->...", normal, line)
-                / (area * np.sqrt(np.einsum("...i,...i->...", line, line)))
-            )
-        inner = np.s_[1:-1, 1:-1]
-        return Facets(places[inner], area[inner], cosine[inner])
+            cosine = upwards * np.einsum("...i,...i->...", normal, line) / lengths
+        angles: FloatArray = np.degrees(np.arccos(np.clip(cosine[1:-1, 1:-1], -1.0, 1.0)))
+        return angles
 
     def _heights(self, xy: FloatArray) -> FloatArray:
         return np.asarray(self.surface.height(xy.reshape(-1, 2))).reshape(xy.shape[:-1])

@@ -98,9 +98,15 @@ class Land:
         states = [self.scene.orbit.at(float(t)) for t in terms(earth) @ fit]
         return np.array([p for p, _ in states]), np.array([v / np.linalg.norm(v) for _, v in states])
 
-    def facets(self, half: tuple[float, float], step: float) -> Facets:
-        """Ground within some metres of the middle as facets, and where the exact orbit places them in the scene."""
-        x, y = np.meshgrid(*(self.middle[axis] + np.arange(-half[axis], half[axis], step) for axis in (0, 1)))
+    def facets(self, half: tuple[float, float], step: float, band: tuple[float, float] | None = None) -> Facets:
+        """Ground within some metres of the middle as facets, and where the exact orbit places them in the scene.
+
+        A band is of the y from the middle that count.
+        """
+        low, high = band or (-half[1], half[1])
+        x, y = np.meshgrid(
+            self.middle[0] + np.arange(-half[0], half[0], step), self.middle[1] + np.arange(low, high, step)
+        )
         earth = self.earth(x, y, self.height(x, y)).reshape(-1, 3)
         d = 0.25 * step
         east = self.earth(x + d, y, self.height(x + d, y)) - self.earth(x - d, y, self.height(x - d, y))

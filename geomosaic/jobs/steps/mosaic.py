@@ -21,6 +21,7 @@ from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_n
 from geomosaic.jobs.step import KEYS_OF_IMAGES, Context, Machine, plugin_versions, versions
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
+from geomosaic.mosaicking.colour.solve import keeping_calibration
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
@@ -61,6 +62,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
     with recorded_warnings() as notes:
         options = _options(project, machine, context)
         block = with_common_bands(_block(project, options), options)
+        options = keeping_calibration(options, block.scenes)
         earlier_run = _earlier_run(project, options, context)
         grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(earlier_run))
         result = make(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -29,6 +30,7 @@ from geomosaic.radiometry.gain_offset import Balance, rms_difference, solve_gain
 from geomosaic.radiometry.overlaps import MAX_SAMPLES, Overlap, PairedSamples, connected_groups, paired_samples
 from geomosaic.radiometry.radiometric_change import RadiometricChange
 from geomosaic.render.areas import read_areas
+from geomosaic.render.calibrated import calibration_of
 from geomosaic.render.photos import Photos
 from geomosaic.types import FloatArray
 
@@ -36,6 +38,20 @@ from geomosaic.types import FloatArray
 SELECTION_SAMPLES = 6_000
 # Samples for a hotspot, whose splines have many parameters.
 HOTSPOT_SAMPLES = 16_000
+
+
+def keeping_calibration(options: MosaicOptions, scenes: Sequence[OrientedImage]) -> MosaicOptions:
+    """Options under which images that hold a physical quantity keep it, unless their colours are asked to change.
+
+    Parameters
+    ----------
+    options : MosaicOptions
+    scenes : sequence of OrientedImage
+    """
+    colours = options.colours
+    if colours.balance is not None or colours.histogram is not None or not any(map(calibration_of, scenes)):
+        return options
+    return replace(options, colours=replace(colours, balance=False))
 
 
 def colour_balance(photos: Photos, options: MosaicOptions, reference: OrientedImage | None = None) -> Balance:
