@@ -14,6 +14,7 @@ from sar_rig import Scene
 from scipy.ndimage import minimum_filter, uniform_filter
 
 import geomosaic as gm
+from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.build import build_block
 from geomosaic.render.illuminated_area import IlluminatedArea
@@ -145,3 +146,37 @@ def test_layover_adds_areas_up_and_shadow_has_no_value(tmp_path: Path) -> None:
     assert (np.abs(ratio - 1.0) < 0.05).mean() > 0.99
     assert 0.02 < (~lit).mean() < 0.3
     assert ((bright < 0.05) == ~lit).mean() > 0.99
+
+
+def test_a_project_and_other_processes_flatten_alike(gentle) -> None:
+    """Models come back from the project's files and from other processes with their calibration."""
+    folder, land, scene, _ = gentle
+    x, y = land.middle
+    bounds = [x - 320, y - 360, x + 300, y + 360]
+    (folder / "project.toml").write_text(
+        f"""format = 1
+project = {{ name = "radar", images = ["scene.tif"] }}
+sensor = {{ name = "sar", calibration = "gamma0-flattened" }}
+dem = {{ file = "dem.tif", heights = "ellipsoidal" }}
+output = {{ folder = "output", crs = "EPSG:{land.zone}", resampling = "average", resolution = 20.0, bounds = {bounds} }}
+"""
+    )
+    gm.run_project(folder / "project.toml", steps=("orient", "mosaic"))
+    with rasterio.open(folder / "output" / "radar.tif") as file:
+        project, named = file.read(1), file.descriptions[0]
+    assert named == "terrain-flattened gamma nought (m2/m2)"
+    area = {"dst_crs": f"EPSG:{land.zone}", "resolution": 20.0, "bounds": bounds, "resampling": "average"}
+    given = replace(scene, options={"calibration": "gamma0-flattened"})
+    elsewhere = gm.mosaic(given, folder / "elsewhere.tif", workers=2, **area).read().filled(0.0)
+    assert np.array_equal(elsewhere[0], project)
+    assert project.mean() == pytest.approx(0.3, rel=2e-3)
+
+
+def test_level_ground_is_not_flattened(gentle) -> None:
+    folder, _, scene, _ = gentle
+    given = gm.Scene(
+        scene.images[0], "sar", options={"calibration": "gamma0-flattened"}, height=200.0, dem_heights="ellipsoidal"
+    )
+    with pytest.raises(InputError, match="needs the relief"):
+        gm.ortho(given, folder / "level.tif")
+    assert not (folder / "level.tif").exists()

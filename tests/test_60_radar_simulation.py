@@ -94,10 +94,13 @@ def test_a_moved_scene_is_found_within_what_its_speckle_allows(
 
 
 @pytest.mark.slow
-def test_a_moved_scene_of_four_looks_is_found_to_a_tenth_of_a_pixel_without_control(tmp_path: Path) -> None:
-    """Four looks, as ground range products have; 0.55 megapixels."""
-    _, path = written(tmp_path, Scene(size=(760, 720)), 4)
-    found = gm.match_simulation(gm.Scene(path, "sar", dem=tmp_path / "dem.tif", dem_heights="ellipsoidal"), tile=96)
+@pytest.mark.parametrize(("size", "looks", "tile"), [((760, 720), 4, 96), ((1500, 1400), 1, 128)])
+def test_a_moved_scene_is_found_to_a_tenth_of_a_pixel_without_control(
+    tmp_path: Path, size: tuple[int, int], looks: int, tile: int
+) -> None:
+    """Four looks, as ground range products have, on 0.55 megapixels; a single look on 2.1."""
+    _, path = written(tmp_path, Scene(size=size), looks)
+    found = gm.match_simulation(gm.Scene(path, "sar", dem=tmp_path / "dem.tif", dem_heights="ellipsoidal"), tile=tile)
     assert (found.sigma < 0.06).all()
     assert np.abs(found.shift - MOVED).max() < 0.1
 

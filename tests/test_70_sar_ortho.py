@@ -12,6 +12,7 @@ from pyproj import Transformer
 from sar_rig import Scene
 
 import geomosaic as gm
+from geomosaic.cli.main import run
 from geomosaic.errors import GeomosaicError
 
 SCENE = Scene()
@@ -164,3 +165,10 @@ def test_the_overview_of_a_tiled_mosaic_is_averaged_in_power_too(folder):
         shown = file.read(1).astype(float)
     middle = shown[shown.shape[0] // 3 : -shown.shape[0] // 3, shown.shape[1] // 3 : -shown.shape[1] // 3]
     assert np.sqrt((middle**2).mean()) == pytest.approx(200 * np.sqrt(2), rel=0.02)
+
+
+def test_rpcs_of_a_scene_meet_its_geometry(folder, capsys):
+    words = ["rpc", folder / "speckle.tif", "--sensor", "sar", "--dem", folder / "dem.tif", "--dem-heights"]
+    assert run([*map(str, words), "ellipsoidal", "--text", "--overwrite", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [one["fit_worst_px"] < 1e-3 for one in told["images"]] == [True]
