@@ -54,11 +54,7 @@ class MapPicture:
 
     layer: CRS
     map: CRS
-
-    @property
-    def sampling(self) -> None:
-        """None: vertices alone are carried between the two CRS."""
-        return None
+    sampling = None  # vertices alone are carried between the two CRS
 
     @property
     def tolerance(self) -> float:
@@ -88,11 +84,7 @@ class RasterPicture:
 
     map: MapPicture
     transform: Affine
-
-    @property
-    def sampling(self) -> None:
-        """None: vertices alone are carried."""
-        return None
+    sampling = None  # vertices alone are carried
 
     @property
     def tolerance(self) -> float:

@@ -68,6 +68,7 @@ class Camera:
     lens: Lens = field(default_factory=NoDistortion)
     additional: AdditionalParameters | None = None
     shutter: RollingShutter | None = None
+    deformation = None  # there is no film
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lens", self.lens.for_corners(*self._plane(self.corners)))
@@ -135,10 +136,6 @@ class Camera:
         corners = self.by_interior(*self.directions(self.corners).T)
         groups = {"principal_point": names[2:4], **coefficient_groups(self.lens), **NAMES}
         return Parameters.held(names, units, values, corners, groups)
-
-    @property
-    def deformation(self) -> None:
-        """No film that could be deformed."""
 
     def deformed(self, values: FloatArray) -> Camera:
         """The camera itself: nothing of it belongs to one photo."""

@@ -209,6 +209,7 @@ class FilmCamera:
     deformation: Deformation | None = None
     _to_scan: FloatArray = field(init=False, repr=False, compare=False)
     _from_scan: FloatArray = field(init=False, repr=False, compare=False)
+    shutter = None  # no camera for film has one that rolls
 
     def __post_init__(self) -> None:
         # (u, v) of the lens, in focal lengths and y down, to mm to pixels.
@@ -218,10 +219,6 @@ class FilmCamera:
             matrix = self.deformation.matrix @ matrix
         object.__setattr__(self, "_to_scan", matrix / matrix[2, 2])
         object.__setattr__(self, "_from_scan", np.linalg.inv(matrix))
-
-    @property
-    def shutter(self) -> None:
-        """No camera for film has a rolling shutter."""
 
     @property
     def focal(self) -> tuple[float, float]:

@@ -183,6 +183,7 @@ class RelativeStrip(WrappedModel):
     model: PanoramicModel
     above: float
     curved: bool
+    notes = (SAID,)
 
     @property
     def crs(self) -> CRS:
@@ -198,11 +199,6 @@ class RelativeStrip(WrappedModel):
         ].tolist()
         c, s = math.cos(self.heading), math.sin(self.heading)
         return c * east - s * north, s * east + c * north, 0.0
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes of the strip, and what its map is."""
-        return (SAID,)
 
     @cached_property
     def heading(self) -> float:

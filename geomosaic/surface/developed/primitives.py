@@ -200,11 +200,7 @@ class Flat:
     """The plane z' = 0 of its axes."""
 
     kind = "plane"
-
-    @property
-    def domain(self) -> Bounds:
-        """All of it."""
-        return -np.inf, -np.inf, np.inf, np.inf
+    domain = (-np.inf, -np.inf, np.inf, np.inf)
 
     def point(self, uvh: FloatArray) -> FloatArray:
         """Developed (N, 3) to body axes (N, 3): the same."""
@@ -288,11 +284,8 @@ class Cone:
 
     half_angle: float
     kind = "cone"
-
-    @property
-    def domain(self) -> Bounds:
-        """No bounds but those of its sector, beyond which `point` is NaN."""
-        return -np.inf, -np.inf, np.inf, np.inf
+    # No bounds but those of its sector, beyond which `point` is NaN.
+    domain = (-np.inf, -np.inf, np.inf, np.inf)
 
     def point(self, uvh: FloatArray) -> FloatArray:
         """Developed (N, 3) to body axes (N, 3); NaN beyond the sector, which is cut opposite the zero direction."""
