@@ -171,10 +171,11 @@ class _Reach:
         low, high = limits
         rows = max(part.row, 0.5), min(part.stop_row, model.size[1] - 0.5)
         corners = np.array([[col, row] for col in (part.col, part.stop_col) for row in rows], dtype=np.float64)
-        there, shift = _moved(model, crs, corners, limits)
+        # Each corner and the place of the next column, found together: a search costs more than its points.
+        both, shift = _moved(model, crs, np.concatenate([corners, corners + _RIGHT]), limits)
         to_model = Transform(crs, model.crs)
-        corner = to_model(there)
-        beside = to_model(image_to_height(model, corners + _RIGHT, 0.5 * (low + high), crs))
+        there = both[: len(corners)]
+        corner, beside = np.split(to_model(both), 2)
         line = (model.sensor_positions(corner) - corner).T
         rise = (to_model(there + _UP) - corner).T
         cosine = _dot(line, rise) / (_length(line) * _length(rise))

@@ -3,8 +3,8 @@
 Elements and units are those of the TerraSAR-X Level 1b Product Format Specification (TX-GS-DD-3307). Rows are equally
 spaced between the start and the stop of sceneInfo. Range times are two-way, in seconds; ground range in metres of an
 MGD is Σ c_k (τ − τ0)^k with the coefficients and the referencePoint τ0 of slantToGroundRangeProjection. Beta nought is
-calFactor · (DN² − noise), the noise a polynomial of τ too (Radiometric Calibration of TerraSAR-X Data,
-TSXX-ITD-TN-0049).
+calFactor · (DN² − noise), the noise a polynomial of τ too (Calculation of Beta Naught and Sigma
+Naught for TerraSAR-X Data, TSXX-AirbusDS-TN-0049).
 """
 
 from __future__ import annotations
