@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from rigs.object_store import Proxy, web_server
+from rigs.object_store import NO_AZURITE, Proxy, azurite, azurite_server, web_server
 
 import geomosaic as gm
 from geomosaic.cli.main import run
@@ -16,6 +16,7 @@ from geomosaic.stores import clients, objects
 from geomosaic.stores.path import StorePath, given_path
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
+TABLES = {"camera": "camera.toml", "exterior": "exterior.csv", "dem": "dem.tif"}
 PHOTOS = [f"strip1_0{number}.jpg" for number in (1, 2, 3)]
 
 
@@ -26,7 +27,7 @@ def _put(file: Path, address: str) -> None:
 
 
 def _block(at: Callable[[str], str | Path]) -> gm.Block:
-    tables = {"camera": at("camera.toml"), "exterior": at("exterior.csv"), "dem": at("dem.tif")}
+    tables = {name: at(file) for name, file in TABLES.items()}
     return gm.Block([at(name) for name in PHOTOS], "frame", crs="EPSG:32633", heights="egm96", **tables)
 
 
@@ -55,7 +56,9 @@ def _same(folder: Path, store: str, names: list[str]) -> None:
 def test_a_mosaic_from_and_to_a_store_has_the_bytes_of_a_local_one(sample: Proxy, tmp_path: Path) -> None:
     given = {"resolution": 4.0}
     here = gm.mosaic(_block(_sample), tmp_path / "m.tif", **given)
-    there = gm.mosaic(_block(_in_store), "s3://tests/mosaic/m.tif", **given)
+    tables = {name: _in_store(file) for name, file in TABLES.items()}
+    block = gm.Block("s3://tests/sample/strip1_*.jpg", "frame", crs="EPSG:32633", heights="egm96", **tables)
+    there = gm.mosaic(block, "s3://tests/mosaic/m.tif", **given)
     assert there.grid == here.grid
     _same(tmp_path, "s3://tests/mosaic", ["m.tif", "m-labels.tif"])
     assert {path.name for path in given_path("s3://tests/mosaic").iterdir()} == {
@@ -175,3 +178,30 @@ def test_what_gives_access_is_in_no_output_message_or_record(
         assert not [text for text in texts if secret in text]
         assert not [file for file in tmp_path.rglob("*") if file.is_file() and secret.encode() in file.read_bytes()]
     assert {file.name for file in tmp_path.iterdir()} == {"m.tif", "m-labels.tif", "m.gpkg", "m.stac.json", "o.tif"}
+
+
+@pytest.mark.slow
+def test_azure_gives_the_bytes_of_local_files_and_checks_its_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if azurite() is None:
+        pytest.skip(NO_AZURITE)
+    (tmp_path / "azurite").mkdir()
+    with azurite_server(tmp_path / "azurite") as connection:
+        monkeypatch.setenv("AZURE_STORAGE_CONNECTION_STRING", connection)
+        monkeypatch.setenv("GDAL_HTTP_MAX_RETRY", "1")
+        clients.forget()
+        for name in (*PHOTOS, "camera.toml", "exterior.csv", "dem.tif"):
+            _put(_sample(name), f"az://tests/sample/{name}")
+        gm.mosaic(_block(_sample), tmp_path / "m.tif", resolution=1.0)
+        gm.mosaic(_block(lambda name: f"/vsiaz/tests/sample/{name}"), "az://tests/mosaic/m.tif", resolution=1.0)
+        _same(tmp_path, "az://tests/mosaic", ["m.tif", "m-labels.tif"])
+        monkeypatch.setenv("AZURE_STORAGE_CONNECTION_STRING", connection.replace("AccountKey=Eby8", "AccountKey=AAAA"))
+        clients.forget()
+        objects.forget()
+        with pytest.raises(gm.GeomosaicError, match="does not let this be read"):
+            gm.contours("az://tests/sample/dem.tif", tmp_path / "c.gpkg", interval=10.0)
+        with pytest.raises(gm.GeomosaicError, match=r"no container 'none'|does not let this be"):
+            gm.contours(SAMPLE / "dem.tif", "az://none/c.gpkg", interval=10.0)
+    clients.forget()
+    objects.forget()

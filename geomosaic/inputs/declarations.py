@@ -15,7 +15,7 @@ from geomosaic.inputs.tables import file_of_image
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.inputs import camera_file
 from geomosaic.sensor.registry import check_camera, plane_sensor
-from geomosaic.stores.path import to_path
+from geomosaic.stores.path import expanded, to_path
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
@@ -315,7 +315,7 @@ def image_paths(images: Any, parameter: str = "images") -> tuple[Path, ...]:
         One of them is no path.
     """
     several = images if isinstance(images, Iterable) and not isinstance(images, str) else (images,)
-    return tuple(path_of(image, parameter) for image in several)
+    return tuple(path for image in several for path in expanded(path_of(image, parameter)))
 
 
 def block_of(given: object, parameter: str) -> Block:

@@ -24,7 +24,7 @@ from geomosaic.options.naming import keys_in_errors
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.project.schema import ProjectFile
 from geomosaic.stores.addresses import is_address
-from geomosaic.stores.path import joined, to_path
+from geomosaic.stores.path import joined, split_pattern, to_path
 from geomosaic.types import PathLike
 from geomosaic.whole_files import read_text, read_toml
 
@@ -368,9 +368,7 @@ def _find_images(folder: Path, patterns: list[str], where: str, others: Collecti
 def _split_pattern(folder: Path, pattern: str) -> tuple[Path, str]:
     """Folder that a pattern counts from, and the rest of it."""
     if is_address(pattern):
-        parts = to_path(pattern).parts
-        fixed = next(k for k, part in enumerate(parts) if is_pattern(part))
-        return to_path("/".join(parts[1:fixed])), "/".join(parts[fixed:])
+        return split_pattern(to_path(pattern))
     base = Path(pattern)
     return (Path(base.anchor), str(base.relative_to(base.anchor))) if base.is_absolute() else (folder, pattern)
 

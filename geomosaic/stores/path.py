@@ -219,6 +219,39 @@ def joined(folder: Path, name: str | Path) -> Path:
     return to_path(name) if isinstance(name, StorePath) or is_address(str(name)) else folder / name
 
 
+def split_pattern(path: Path) -> tuple[Path, str]:
+    """Folder of a path before its first part with a wildcard, and the rest of it; empty where there is none.
+
+    Parameters
+    ----------
+    path : Path
+    """
+    parts = path.parts
+    fixed = next((k for k, part in enumerate(parts) if re.search(r"[*?\[]", part)), len(parts))
+    return type(path)(*parts[:fixed]), "/".join(parts[fixed:])
+
+
+def expanded(path: Path) -> tuple[Path, ...]:
+    """Objects that the address of a pattern stands for, in order, as a shell does it for files; else the path itself.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        The pattern matches nothing.
+    """
+    folder, pattern = split_pattern(path) if isinstance(path, StorePath) else (path, "")
+    if not pattern:
+        return (path,)
+    found = tuple(sorted(each for each in folder.glob(pattern) if each.is_file()))
+    if not found:
+        raise InputError("the pattern matches no object", where=str(path), hint="check it")
+    return found
+
+
 def given_path(name: str | Path) -> Path:
     """Path of a name that a user has given; its store may be opened from now on.
 

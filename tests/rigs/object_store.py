@@ -7,9 +7,12 @@ import importlib.util
 import json
 import os
 import re
+import shutil
+import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -224,3 +227,59 @@ def web_server(folder: Path, query: str, user: str) -> Iterator[str]:
     finally:
         server.shutdown()
         server.server_close()
+
+
+# Account and key of Azure's emulators, which are the same everywhere.
+AZURITE_ACCOUNT = "devstoreaccount1"
+AZURITE_KEY = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2UVErCz4I6tq/K1SZFPTOtr/KBHBeksoGMGw=="
+NO_AZURITE = "needs azurite: npm install --prefix .azurite azurite"
+
+
+def azurite() -> str | None:
+    """Program of the emulator's blob service."""
+    own = Path(__file__).parents[2] / ".azurite" / "node_modules" / ".bin" / "azurite-blob"
+    return os.environ.get("GEOMOSAIC_AZURITE") or (str(own) if own.exists() else shutil.which("azurite-blob"))
+
+
+@contextmanager
+def azurite_server(folder: Path) -> Iterator[str]:
+    """Blob service of Azure's emulator with the container `tests`; gives its connection string."""
+    import base64
+    import hashlib
+    import hmac
+    from email.utils import formatdate
+
+    program = azurite()
+    assert program is not None
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    process = subprocess.Popen(
+        [program, "--blobPort", str(port), "--location", str(folder), "--silent", "--skipApiVersionCheck"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        now, version = formatdate(usegmt=True), "2021-08-06"
+        resource = f"/{AZURITE_ACCOUNT}/{AZURITE_ACCOUNT}/tests\nrestype:container"
+        text = f"PUT{chr(10) * 12}x-ms-date:{now}\nx-ms-version:{version}\n{resource}"
+        key = hmac.new(base64.b64decode(AZURITE_KEY), text.encode(), hashlib.sha256).digest()
+        signature = f"SharedKey {AZURITE_ACCOUNT}:{base64.b64encode(key).decode()}"
+        headers = {"x-ms-date": now, "x-ms-version": version, "Authorization": signature, "Content-Length": "0"}
+        for _ in range(200):
+            try:
+                connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+                connection.request("PUT", f"/{AZURITE_ACCOUNT}/tests?restype=container", headers=headers)
+                answer = connection.getresponse()
+                break
+            except OSError:
+                time.sleep(0.1)
+        assert answer.status == 201, answer.read()
+        connection.close()
+        yield (
+            f"DefaultEndpointsProtocol=http;AccountName={AZURITE_ACCOUNT};AccountKey={AZURITE_KEY};"
+            f"BlobEndpoint=http://127.0.0.1:{port}/{AZURITE_ACCOUNT};"
+        )
+    finally:
+        process.kill()
+        process.wait()
