@@ -135,11 +135,9 @@ def _of_four(values: AnyArray, wide: type[np.generic] | None = None) -> AnyArray
     # Whole rows first: they lie together in memory.
     rows = values[0::2].astype(wide or values.dtype)
     rows += values[1::2]
-    if rows.ndim == 2:
-        return rows[:, 0::2] + rows[:, 1::2]
-    total: AnyArray = np.empty((rows.shape[0], rows.shape[1] // 2, rows.shape[2]), dtype=rows.dtype)
-    for band in range(rows.shape[2]):
-        np.add(rows[:, 0::2, band], rows[:, 1::2, band], out=total[:, :, band])
+    total: AnyArray = np.empty((rows.shape[0], rows.shape[1] // 2, *rows.shape[2:]), dtype=rows.dtype)
+    for band in np.ndindex(rows.shape[2:]):  # one, where there is no axis of bands
+        np.add(rows[:, 0::2, *band], rows[:, 1::2, *band], out=total[:, :, *band])
     return total
 
 
