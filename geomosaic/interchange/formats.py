@@ -293,69 +293,43 @@ def _known(name: str, formats: Mapping[str, object]) -> str:
     return name
 
 
-def _encoded(texts: Mapping[str, str]) -> dict[str, bytes]:
-    return {name: text.encode() for name, text in texts.items()}
+def _contents(format: str, found: Reconstruction, name: str) -> Mapping[str, str | bytes]:
+    """Contents of the files of a format by name, of a reconstruction and the last part of the given path."""
+    match format:
+        case "colmap" | "colmap-text":
+            from geomosaic.interchange.colmap import text_of, to_records
+            from geomosaic.interchange.colmap_binary import bytes_of
 
+            model = to_records(found)
+            return bytes_of(model) if format == "colmap" else text_of(model)
+        case "opensfm":
+            from geomosaic.interchange.opensfm import texts_of
 
-def _colmap_text(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.colmap import text_of, to_records
+            return texts_of(found)
+        case "bundler":
+            from geomosaic.interchange.bundler import bundler_texts
 
-    return _encoded(text_of(to_records(found)))
+            return bundler_texts(found)
+        case "bal":
+            from geomosaic.interchange.bundler import bal_bytes
 
+            return {name: bal_bytes(found, Path(name).suffix.lower())}
+        case "metashape":
+            from geomosaic.interchange.metashape import metashape_xml
 
-def _colmap_bytes(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.colmap import to_records
-    from geomosaic.interchange.colmap_binary import bytes_of
+            return {name: metashape_xml(found)}
+        case "pix4d":
+            from geomosaic.interchange.pix4d import pix4d_texts
 
-    return bytes_of(to_records(found))
+            return pix4d_texts(found, name)
+        case "ori":
+            from geomosaic.interchange.photo_files import ori_texts
 
+            return ori_texts(found)
+        case _:
+            from geomosaic.interchange.asp import adjustment_files, match_files
 
-def _opensfm_texts(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.opensfm import texts_of
-
-    return _encoded(texts_of(found))
-
-
-def _bundler_texts(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.bundler import bundler_texts
-
-    return _encoded(bundler_texts(found))
-
-
-def _bal_file(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.bundler import bal_bytes
-
-    return {name: bal_bytes(found, Path(name).suffix.lower())}
-
-
-def _metashape_file(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.metashape import metashape_xml
-
-    return {name: metashape_xml(found).encode()}
-
-
-def _pix4d_files(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.pix4d import pix4d_texts
-
-    return _encoded(pix4d_texts(found, name))
-
-
-def _ori_files(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.photo_files import ori_texts
-
-    return _encoded(ori_texts(found))
-
-
-def _match_files(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.asp import match_files
-
-    return match_files(found)
-
-
-def _adjust_files(found: Reconstruction, name: str) -> dict[str, bytes]:
-    from geomosaic.interchange.asp import adjustment_files
-
-    return adjustment_files(found)
+            return match_files(found) if format == "match" else adjustment_files(found)
 
 
 @dataclass(frozen=True)
@@ -364,30 +338,27 @@ class Writer:
 
     Attributes
     ----------
-    files : callable
-        Bytes by file name, of a reconstruction and the last part of the given path.
     ending : str, optional
         Of the file's name; None where the format is a folder.
     in_map : bool
         Whether it counts in the axes of a map.
     """
 
-    files: Callable[[Reconstruction, str], dict[str, bytes]]
     ending: str | None = None
     in_map: bool = False
 
 
 WRITERS: Mapping[str, Writer] = {
-    "colmap": Writer(_colmap_bytes),
-    "colmap-text": Writer(_colmap_text),
-    "opensfm": Writer(_opensfm_texts),
-    "bundler": Writer(_bundler_texts),
-    "bal": Writer(_bal_file, ".txt"),
-    "metashape": Writer(_metashape_file, ".xml"),
-    "pix4d": Writer(_pix4d_files, PIX4D[0], in_map=True),
-    "ori": Writer(_ori_files, in_map=True),
-    "match": Writer(_match_files),
-    "adjust": Writer(_adjust_files),
+    "colmap": Writer(),
+    "colmap-text": Writer(),
+    "opensfm": Writer(),
+    "bundler": Writer(),
+    "bal": Writer(".txt"),
+    "metashape": Writer(".xml"),
+    "pix4d": Writer(PIX4D[0], in_map=True),
+    "ori": Writer(in_map=True),
+    "match": Writer(),
+    "adjust": Writer(),
 }
 
 
@@ -426,7 +397,7 @@ def write_reconstruction(
     target = path_of(path, "path")
     writer = WRITERS[_known(format, WRITERS)]
     folder = writer.ending is None
-    files = writer.files(reconstruction, target.name)
+    files = _contents(format, reconstruction, target.name)
     home = target if folder else target.parent
     if folder and target.is_file():
         raise InputError("the output is a file", where=str(target), hint=f"'{format}' is written to a folder")
@@ -436,5 +407,5 @@ def write_reconstruction(
         check_output(home / name, overwrite=overwrite)
     for name, data in files.items():
         with under_construction(home / name) as unfinished:
-            unfinished.write_bytes(data)
+            unfinished.write_bytes(data if isinstance(data, bytes) else data.encode())
     return tuple(home / name for name in files)

@@ -155,7 +155,7 @@ class GuardedApplication:
         try:
             self._examine(scope)
             if scope["path"] == SESSION:
-                token = _token_of(await _whole_body(_limited(receive)))
+                token = (json_object(await _whole_body(_limited(receive))) or {}).get("token")
                 await _reply(watched, 200, {"open": True}, {"set-cookie": self._access.open_session(token)})
             else:
                 await self._application(scope, _limited(receive), watched)
@@ -220,12 +220,18 @@ async def _whole_body(receive: Receive) -> bytes:
     return b"".join(parts)
 
 
-def _token_of(body: bytes) -> object:
+def json_object(body: bytes) -> dict[str, Any] | None:
+    """JSON object of a request's body; None where it is none.
+
+    Parameters
+    ----------
+    body : bytes
+    """
     try:
         values = json.loads(body)
     except (ValueError, RecursionError):
-        values = None
-    return values.get("token") if isinstance(values, dict) else None
+        return None
+    return values if isinstance(values, dict) else None
 
 
 def _with_headers(send: Send, picture_host: str) -> Send:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import math
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
@@ -19,7 +18,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from geomosaic.errors import GeomosaicError
-from geomosaic.studio.access import Access, GuardedApplication, Refusal
+from geomosaic.studio.access import Access, GuardedApplication, Refusal, json_object
 from geomosaic.studio.base_map import base_map_host
 from geomosaic.studio.changes import MOST, Changes
 from geomosaic.studio.runs import Runs
@@ -209,11 +208,8 @@ async def body_of(request: Request) -> dict[str, Any]:
     Refusal
         The body is no JSON object.
     """
-    try:
-        values = json.loads(await request.body())
-    except (ValueError, RecursionError):
-        values = None
-    if not isinstance(values, dict):
+    values = json_object(await request.body())
+    if values is None:
         raise Refusal(400, "the body is no JSON object")
     return values
 

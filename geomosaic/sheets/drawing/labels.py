@@ -44,14 +44,8 @@ def draw_overlay(canvas: Canvas, page: Page, layer: Overlay) -> None:
     """
     groups = [group for group in layer.groups if group.geometries]
     for group in groups:
-        fill, line = group.symbol.fill, group.symbol.line
         for polygon in parts_of(group.geometries, "polygon"):
-            rings = _rings(page, polygon)
-            if fill is not None:
-                canvas.area(rings, fill.color, opacity=fill.opacity)
-            if line is not None:
-                for casing in (True, False):
-                    _line(canvas, rings, line, casing=casing)
+            _area(canvas, _rings(page, polygon), group.symbol)
     for casing in (True, False):
         for group in groups:
             if group.symbol.line is not None:
@@ -95,11 +89,7 @@ def draw_swatch(canvas: Canvas, symbol: Symbol, kinds: set[str], box: Box) -> No
     middle = (bottom + top) / 2
     if "polygon" in kinds and (symbol.fill or symbol.line):
         ring = np.array([(left, bottom), (right, bottom), (right, top), (left, top), (left, bottom)])
-        if symbol.fill is not None:
-            canvas.area([ring], symbol.fill.color, opacity=symbol.fill.opacity)
-        if symbol.line is not None:
-            _line(canvas, [ring], symbol.line, casing=True)
-            _line(canvas, [ring], symbol.line, casing=False)
+        _area(canvas, [ring], symbol)
     elif "line" in kinds and symbol.line is not None:
         path = np.array([(left, middle), (right, middle)])
         line = replace(symbol.line, pattern_interval=min(symbol.line.pattern_interval, right - left))
@@ -119,6 +109,14 @@ def kinds_of(geometries: Sequence[Any]) -> set[str]:
     geometries : sequence of shapely geometry
     """
     return {kind for kind in KINDS if parts_of(geometries, kind)}
+
+
+def _area(canvas: Canvas, rings: Sequence[FloatArray], symbol: Symbol) -> None:
+    if symbol.fill is not None:
+        canvas.area(rings, symbol.fill.color, opacity=symbol.fill.opacity)
+    if symbol.line is not None:
+        for casing in (True, False):
+            _line(canvas, rings, symbol.line, casing=casing)
 
 
 def _line(canvas: Canvas, paths: Sequence[FloatArray], line: Line, *, casing: bool) -> None:
