@@ -236,8 +236,7 @@ def test_an_error_leaves_nothing(raster: Path, tmp_path: Path, monkeypatch: pyte
     def full(path: Path) -> None:
         raise OSError(28, "No space left on device")
 
-    for module in ("geomosaic.whole_files", "geomosaic.raster.sink"):
-        monkeypatch.setattr(f"{module}.sync", full)
+    monkeypatch.setattr("geomosaic.whole_files.sync", full)
     assert run(["sheet", str(raster), "--dpi", "72", "-o", str(tmp_path / f"map.{suffix}")]) == 1
     assert list(tmp_path.iterdir()) == []
 
