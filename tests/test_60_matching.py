@@ -402,7 +402,7 @@ def test_selected_points_serve_every_cell_and_those_of_many_images_first():
     ]
     tracks = join(pairs, [3, 3, 1])
     places = np.array([[5.0, 5.0], [6.0, 6.0], [95.0, 5.0]])
-    chosen = even_selection(tracks, places[tracks.point], 10.0, 1)
+    chosen = even_selection(tracks, places[tracks.point] / 10.0, 1)
     many = tracks.rays == 3
     assert chosen[many].all()
     assert chosen.sum() == 2

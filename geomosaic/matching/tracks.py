@@ -139,16 +139,14 @@ def _split(ends: IntArray, image_of: IntArray, label: IntArray) -> None:
             number += 1
 
 
-def even_selection(tracks: Tracks, colrow: FloatArray, cell: float, most: int) -> BoolArray:
+def even_selection(tracks: Tracks, place: FloatArray, most: int) -> BoolArray:
     """Points that tie images evenly: in each cell of each image the first with the most rays.
 
     Parameters
     ----------
     tracks : Tracks
-    colrow : array (N, 2)
-        Places in pixels.
-    cell : float
-        Side of a cell of an image in pixels.
+    place : array (N, 2)
+        Places in the images, in sides of a cell.
     most : int
         Points that a cell asks for.
 
@@ -161,7 +159,7 @@ def even_selection(tracks: Tracks, colrow: FloatArray, cell: float, most: int) -
     chosen = np.zeros(len(rays), dtype=bool)
     if not len(tracks):
         return chosen
-    cells = np.floor(colrow / cell).astype(np.int64)
+    cells = np.floor(place).astype(np.int64)
     wide = int(cells.max()) + 1
     key = (tracks.image * wide + cells[:, 1]) * wide + cells[:, 0]
     # Points with the most rays first, everywhere alike, so that neighbouring cells choose the same ones.

@@ -214,7 +214,7 @@ def smooth(
     -------
     list of array (N', 2), vertices are half a cell apart. Ends of open lines stay, rings stay closed.
     """
-    dense = [_densified(line, _STEP) for line in lines]
+    dense = [_densified(line) for line in lines]
     if not dense:
         return []
     sizes = np.array([len(line) for line in dense])
@@ -278,11 +278,11 @@ def _within_tolerance(
     return start + weight[:, None] * (points - start)
 
 
-def _densified(nodes: FloatArray, step: float) -> FloatArray:
+def _densified(nodes: FloatArray) -> FloatArray:
     lengths = np.hypot(*np.diff(nodes, axis=0).T)
     parts = [nodes[:1]]
     for a, b, length in zip(nodes[:-1], nodes[1:], lengths, strict=True):
-        n = max(1, round(length / step))
+        n = max(1, round(length / _STEP))
         parts.append(a + (b - a) * (np.arange(1, n + 1) / n)[:, None])
     line = np.concatenate(parts)
     line[-1] = nodes[-1]

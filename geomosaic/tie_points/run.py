@@ -140,7 +140,7 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     stages.cache.trim()
     longest = np.array([max(scene.model.size) for scene in start.scenes])
     cells = refined.colrow / (longest[refined.tracks.image] / CELLS)[:, None]
-    chosen = even_selection(refined.tracks, cells, 1.0, options.per_cell)
+    chosen = even_selection(refined.tracks, cells, options.per_cell)
     result = _result(start, found, refined, chosen)
     # Of images of which no two are tied, who needs ties makes an error (`nothing_in_common`).
     for finding in diagnostics(result.tied, result.features) if len(result.ties) else ():

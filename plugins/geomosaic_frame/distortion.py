@@ -12,7 +12,7 @@ the radius never shrinks again.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Protocol, Self, cast
 
@@ -150,17 +150,9 @@ class Perspective(NamedCoefficients):
         return self
 
 
+@dataclass(frozen=True)
 class NoDistortion(Perspective):
     """Ideal lens, without distortion."""
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, NoDistortion)
-
-    def __hash__(self) -> int:
-        return hash(NoDistortion)
-
-    def __repr__(self) -> str:
-        return "NoDistortion()"
 
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""

@@ -31,11 +31,11 @@ from geomosaic_panoramic.flight import (
     PER_STEP,
     declared_orbit,
     number_option,
-    numbers_option,
     read_table,
     require_cover,
     straight_motion,
     table_poses,
+    triple_option,
     warn_of_cell_shape,
     word,
 )
@@ -218,7 +218,7 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     scan = _scan(kind, request)
     table, tau = _table(request, scan.periods)
     if table is None:
-        position = np.array(numbers_option(options, "position", 3, where))
+        position = np.array(triple_option(options, "position", where))
     else:
         position = np.array([np.interp(0.0, tau, table[:, i]) for i in (1, 2, 3)])
     treatment = word(options, "treatment", TREATMENTS, where, "rigorous")

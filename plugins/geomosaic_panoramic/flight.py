@@ -61,18 +61,16 @@ def number_option(options: Mapping[str, Any], name: str, where: str, default: fl
     return read.number(read.need({name: default, **options}, name, where, TEXT), name, where)
 
 
-def numbers_option(
-    options: Mapping[str, Any], name: str, count: int, where: str, default: Sequence[float] | None = None
+def triple_option(
+    options: Mapping[str, Any], name: str, where: str, default: Sequence[float] | None = None
 ) -> tuple[float, ...]:
-    """Option that is a list of finite numbers.
+    """Option that is a list of three finite numbers.
 
     Parameters
     ----------
     options : mapping
     name : str
         Of the option.
-    count : int
-        How many numbers.
     where : str
         Named in errors.
     default : sequence of float, optional
@@ -81,9 +79,9 @@ def numbers_option(
     Raises
     ------
     InputError
-        The option is missing, or not `count` numbers.
+        The option is missing, or not three numbers.
     """
-    return read.numbers(read.need({name: default, **options}, name, where, TEXT), count, name, where)
+    return read.numbers(read.need({name: default, **options}, name, where, TEXT), 3, name, where)
 
 
 COLUMNS = ("time", "x", "y", "z", "heading", "pitch", "roll")
@@ -270,7 +268,7 @@ def straight_motion(options: Mapping[str, Any], kind: str, above: float, turn: f
             0.0, 0.0, 0.0,
             advance * math.sin(course), advance * math.cos(course), number_option(options, "climb", where, 0.0),
             heading, number_option(options, "pitch", where, 0.0), number_option(options, "roll", where, 0.0),
-            *numbers_option(options, "rates", 3, where, (0.0, 0.0, 0.0)),
+            *triple_option(options, "rates", where, (0.0, 0.0, 0.0)),
         ]
     )  # fmt: skip
 

@@ -28,8 +28,7 @@ the overlap or gap, and nothing but that is discontinuous.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -58,10 +57,6 @@ class Sweeps:
     lines: int = 16
     both: bool = False
     active: float = 1.0
-
-    def to_dict(self) -> dict[str, Any]:
-        """State as JSON values; the arguments again."""
-        return asdict(self)
 
     def moments(
         self, size: tuple[int, int], focal: float, motion: float, colrow: FloatArray

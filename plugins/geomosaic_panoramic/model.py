@@ -8,7 +8,7 @@ satellite's is the ellipsoid, and x, y are distance and direction on it from the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self, cast
 
@@ -137,7 +137,7 @@ class PanoramicModel:
             "units": list(self.parameters.units),
             "seed": list(self.seed),
             "centre": self.scan.centre,
-            "sweeps": self.scan.sweeps.to_dict(),
+            "sweeps": asdict(self.scan.sweeps),
             "poses": None if self.poses is None else self.poses.to_dict(),
             "notes": list(self.notes),
             "ray_correction": self.ray_correction.to_dict(),

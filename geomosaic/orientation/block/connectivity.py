@@ -126,6 +126,6 @@ def _widths(
     return np.sqrt(np.maximum((a + c) / 2 - spread, 0.0) / np.maximum((a + c) / 2 + spread, 1e-300))
 
 
-def _some(names: Sequence[str], most: int = 3) -> str:
+def _some(names: Sequence[str]) -> str:
     """First names of a list, and that there are more."""
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

@@ -27,6 +27,7 @@ from geomosaic.surface.model import HeightPatch
 from geomosaic.testing.synthetic.relief import (
     MASK,
     PERIOD,
+    SUN,
     bounds,
     crowns,
     heights,
@@ -55,9 +56,7 @@ PLOT, TURN = 31.0, 0.30  # metres, radians
 KEEP = 0.72  # share of plots that are built on
 
 
-def houses(
-    ground: Float32Array, u: Float32Array, v: Float32Array, edge: float, seed: int, sun: tuple[float, float]
-) -> Float32Array:
+def houses(ground: Float32Array, u: Float32Array, v: Float32Array, edge: float, seed: int) -> Float32Array:
     """Village laid over the ground's colours: streets, shadows and roofs.
 
     Parameters
@@ -70,8 +69,6 @@ def houses(
         Width of soft edges in metres.
     seed : int
         Fixes plots, sizes and colours.
-    sun : (float, float)
-        Horizontal direction to the sun in the axes u, v.
 
     Returns
     -------
@@ -101,8 +98,8 @@ def houses(
     length, depth = 5 + 3 * random[:, 3], np.float32(3.9) + np.float32(1.4) * random[:, 4]
     # Away from the sun, in the axes of the plots.
     fall = (
-        turn_c * -np.float32(sun[0]) - turn_s * np.float32(sun[1]),
-        -turn_c * np.float32(sun[1]) + turn_s * np.float32(sun[0]),
+        turn_c * -np.float32(SUN[0]) - turn_s * np.float32(SUN[1]),
+        -turn_c * np.float32(SUN[1]) + turn_s * np.float32(SUN[0]),
     )
     x2, y2 = x - 3 * fall[0], y - 3 * fall[1]
     shadow = _box(c * x2 + s * y2, c * y2 - s * x2, length, depth, edge)
@@ -121,8 +118,6 @@ def _box(x: Float32Array, y: Float32Array, half_x: Float32Array, half_y: Float32
     """Soft rectangle around the origin."""
     return soft(half_x - np.abs(x), edge) * soft(half_y - np.abs(y), edge)
 
-
-SUN = (0.64, -0.77)  # mid-morning sun in the south-east: unit vector in (u, v)
 
 FIELDS = np.array(
     [
@@ -233,7 +228,7 @@ class Land:
         if not len(near):
             return colour
         spacing = max(7.5, 2.6 * self.wavelength)
-        cover, light = crowns(u[near], v[near], spacing, table(self.seed, "crowns", 4), SUN)
+        cover, light = crowns(u[near], v[near], spacing, table(self.seed, "crowns", 4))
         pine = soft(self._noise("pines", u[near], v[near], 95.0), 0.06)[:, None]
         bright = np.asarray(LEAF_LIGHT, dtype=np.float32) * (1 - pine) + np.asarray(PINE_LIGHT, dtype=np.float32) * pine
         dark = np.asarray(LEAF_DARK, dtype=np.float32)
@@ -286,12 +281,12 @@ class Land:
         local = colour[near]
         garden = (1 + np.float32(0.5) * fine[near])[:, None] * np.asarray(GARDEN, dtype=np.float32)
         ground = _lay(local, np.full(len(near), 0.8, dtype=np.float32), garden)
-        cover, light = crowns(u[near], v[near], max(9.0, 2.6 * self.wavelength), table(self.seed, "trees", 4), SUN)
+        cover, light = crowns(u[near], v[near], max(9.0, 2.6 * self.wavelength), table(self.seed, "trees", 4))
         sparse = soft(self._noise("orchard", u[near], v[near], 26.0) - np.float32(0.1), 0.05)
         dark = np.asarray(LEAF_DARK, dtype=np.float32)
         leaves = dark + (cover * light)[:, None] * (np.asarray(LEAF_LIGHT, dtype=np.float32) - dark)
         ground = _lay(ground, cover * sparse, leaves)
-        ground = houses(ground, u[near], v[near], self._edge, self.seed, SUN)
+        ground = houses(ground, u[near], v[near], self._edge, self.seed)
         colour[near] = _lay(local, mask[near], ground)
         return colour
 

@@ -41,6 +41,10 @@ def table(seed: int, name: str, columns: int) -> Float32Array:
     return values
 
 
+# Mid-morning sun in the south-east: unit vector in (u, v).
+SUN = (0.64, -0.77)
+
+
 def soft(distance: Float32Array, width: float) -> Float32Array:
     """Soft step between 0 and 1: ½ + ½ tanh(distance / width).
 
@@ -168,9 +172,7 @@ def patchwork(
     return blended / narrow_sum[:, None], 2 * (1 - wide_squares / (wide_sum * wide_sum))
 
 
-def crowns(
-    u: Float32Array, v: Float32Array, spacing: float, values: Float32Array, sun: tuple[float, float]
-) -> tuple[Float32Array, Float32Array]:
+def crowns(u: Float32Array, v: Float32Array, spacing: float, values: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Tree crowns: round bumps on a jittered lattice, lit from the side.
 
     Parameters
@@ -181,8 +183,6 @@ def crowns(
         Of the crowns, metres.
     values : float32 array (PERIOD², 4)
         Jitter in two columns, size, brightness.
-    sun : (float, float)
-        Unit vector towards the sun, in (u, v).
 
     Returns
     -------
@@ -195,7 +195,7 @@ def crowns(
         size = np.float32(0.62) + np.float32(0.3) * values[index, 2]
         bump = np.maximum(1 - (dp * dp + dq * dq) / (size * size), 0)
         bump = bump * bump * bump
-        lit = np.float32(0.62) + np.float32(1.1) * (dp * np.float32(sun[0]) + dq * np.float32(sun[1])) / size
+        lit = np.float32(0.62) + np.float32(1.1) * (dp * np.float32(SUN[0]) + dq * np.float32(SUN[1])) / size
         cover += bump
         light += bump * lit * (np.float32(0.65) + np.float32(0.7) * values[index, 3])
     return 1 - np.exp(np.float32(-2.4) * cover), light / (cover + np.float32(0.08))
