@@ -7,7 +7,7 @@ from typing import Generic
 
 import numpy as np
 
-from geomosaic.errors import InputError, SolveError, counted, listed
+from geomosaic.errors import SolveError, counted, listed
 from geomosaic.estimation.blunders.least_trimmed_squares import (
     Fit,
     Refit,
@@ -42,7 +42,7 @@ class Snooping(Generic[Fit]):
     scale : float
         Standard deviation of unit weight that the tests used.
     freedom : float
-        Redundancy it rests on; inf where it was given.
+        Redundancy it rests on.
     fit : PointFit
         To the points kept, with leave-one-out errors.
     """
@@ -56,9 +56,7 @@ class Snooping(Generic[Fit]):
     fit: Fit
 
 
-def snoop(
-    problem: Refit[Fit], start: RobustStart, *, alpha: float = ALPHA, sigma0: float | None = None
-) -> Snooping[Fit]:
+def snoop(problem: Refit[Fit], start: RobustStart, *, alpha: float = ALPHA) -> Snooping[Fit]:
     """Data snooping: the point of least probable error is rejected and the rest fitted again, until all may be chance.
 
     Parameters
@@ -68,22 +66,8 @@ def snoop(
         Its scale is used, because that of a fit with several blunders hides them all.
     alpha : float
         Probability below which an error is no chance.
-    sigma0 : float, optional
-        Standard deviation of unit weight, where it is known beforehand (1 where `sigma` are true standard deviations).
-
-    Raises
-    ------
-    InputError
-        `alpha` or `sigma0` out of range.
     """
-    if not 0.0 < alpha < 1.0:
-        raise InputError(f"a probability of {alpha} is not between 0 and 1", hint="give a share, such as 0.001")
-    if sigma0 is not None and not (np.isfinite(sigma0) and sigma0 > 0.0):
-        raise InputError(
-            f"sigma0 {sigma0} is not a positive number",
-            hint="give the standard deviation of unit weight, 1 where the sigmas are right",
-        )
-    scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
+    scale, freedom = start.scale, float(start.freedom)
     kept, order = np.ones(len(problem), dtype=np.bool_), list[int]()
     try:
         probability = error_probabilities(problem, kept, scale, freedom)
@@ -230,31 +214,20 @@ class BlunderSearch(Generic[Fit]):
         return tuple(dict.fromkeys((*self.snooping.blunders, *self.estimate.blunders)))
 
 
-def search_blunders(
-    problem: Refit[Fit], *, alpha: float = ALPHA, sigma0: float | None = None, seed: int = 0
-) -> BlunderSearch[Fit]:
+def search_blunders(problem: Refit[Fit]) -> BlunderSearch[Fit]:
     """Blunders by data snooping and by an M-estimator, and whether the two agree.
 
     Parameters
     ----------
     problem : Refit
-    alpha : float
-        Probability below which an error is no chance.
-    sigma0 : float, optional
-        Standard deviation of unit weight, where it is known beforehand.
-    seed : int
-        Of the random samples; the same gives the same.
 
     Raises
     ------
-    InputError
-        `alpha` or `sigma0` out of range.
     SolveError
         Too few points, or a model that passes through all of them.
     """
-    start = trimmed_start(problem, seed)
-    snooping = snoop(problem, start, alpha=alpha, sigma0=sigma0)
-    estimate = _m_estimate(problem, start, alpha, sigma0)
+    start = trimmed_start(problem)
+    snooping, estimate = snoop(problem, start), _m_estimate(problem, start)
     first, second = set(snooping.blunders), set(estimate.blunders)
     both = tuple(name for name in problem.ids if name in first & second)
     return BlunderSearch(
@@ -262,9 +235,9 @@ def search_blunders(
     )
 
 
-def _m_estimate(problem: Refit[Fit], start: RobustStart, alpha: float, sigma0: float | None) -> MEstimate[Fit]:
+def _m_estimate(problem: Refit[Fit], start: RobustStart) -> MEstimate[Fit]:
     """MM-estimate (Yohai 1987): Tukey's weights from a robust start, whose scale is held."""
-    scale, freedom = (start.scale, float(start.freedom)) if sigma0 is None else (sigma0, float("inf"))
+    scale, freedom = start.scale, float(start.freedom)
     # The scale of the robust start is held: taken anew each round, it would shrink with the weights.
     weights, errors = start.inliers.astype(np.float64), problem.errors(problem.model(start.inliers))
     settled, rounds = False, 0
@@ -283,7 +256,7 @@ def _m_estimate(problem: Refit[Fit], start: RobustStart, alpha: float, sigma0: f
     kept = (weights > 0.0) & start.inliers
     probability = error_probabilities(problem, kept, scale, freedom)
     for _ in range(10):
-        better = probability >= alpha
+        better = probability >= ALPHA
         if (better == kept).all() or better.sum() <= start.needed:
             break
         try:

@@ -124,21 +124,9 @@ class RobustStart:
     breakdown_point: float
 
 
-def points_needed(problem: Refit[Fit], seed: int = 0) -> int:
-    """Fewest points the model needs, found by trying: all points together may contradict each other too much.
-
-    Parameters
-    ----------
-    problem : Refit
-    seed : int
-        Of the random samples; the same gives the same.
-
-    Raises
-    ------
-    SolveError
-        No sample determines the model, or it passes through any number of points.
-    """
-    random = np.random.default_rng(seed)
+def _points_needed(problem: Refit[Fit]) -> int:
+    """Fewest points the model needs, found by trying: all points together may contradict each other too much."""
+    random = np.random.default_rng(0)
     count = len(problem)
     for size in range(1, count + 1):
         model = _any_model(problem, size, random)
@@ -166,20 +154,9 @@ def _any_model(problem: Refit[Fit], size: int, random: np.random.Generator) -> A
     return None
 
 
-def check_count(problem: Refit[Fit], seed: int = 0) -> int:
-    """Fewest points the model needs, refusing fewer than two more.
-
-    Parameters
-    ----------
-    problem : Refit
-    seed : int
-        Of the random samples; the same gives the same.
-
-    Raises
-    ------
-    SolveError
-    """
-    needed, count = points_needed(problem, seed), len(problem)
+def _check_count(problem: Refit[Fit]) -> int:
+    """Fewest points the model needs, refusing fewer than two more."""
+    needed, count = _points_needed(problem), len(problem)
     if count < needed + 2:
         raise SolveError(
             f"{counted(count, 'point')} {'is' if count == 1 else 'are'} too few to look for blunders: the kind needs "
@@ -189,27 +166,25 @@ def check_count(problem: Refit[Fit], seed: int = 0) -> int:
     return needed
 
 
-def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
+def trimmed_start(problem: Refit[Fit]) -> RobustStart:
     """Points that agree: small samples are fitted and concentrated on the better half, and the best is kept.
 
     Parameters
     ----------
     problem : Refit
-    seed : int
-        Of the samples; the same gives the same.
 
     Raises
     ------
     SolveError
         Too few points to tell blunders from good ones, or a model that passes through all of them.
     """
-    needed, count = check_count(problem, seed), len(problem)
+    needed, count = _check_count(problem), len(problem)
     # The size of the better half with the highest breakdown point (Rousseeuw & van Driessen 2006).
-    pool = some_of(count, seed)
+    pool = some_of(count)
     half = (len(pool) + needed + 1) // 2
     # One point more than needed: a conformal fit of two cannot tell a mirrored image.
     size = min(needed + 1, half)
-    samples = _samples(count, size, seed)
+    samples = _samples(count, size)
     tried = _best(problem, samples, pool, half)
     if not tried:
         raise SolveError("no sample of the control points determines the model", hint="spread the points")
@@ -225,26 +200,24 @@ def trimmed_start(problem: Refit[Fit], seed: int = 0) -> RobustStart:
     return RobustStart(inliers, scale, freedom, needed, 0.5 if comb(count, size) <= len(samples) else breakdown_point)
 
 
-def some_of(count: int, seed: int = 0) -> IntArray:
+def some_of(count: int) -> IntArray:
     """Numbers (K,) of `POOL` of so many points, or of all, rising.
 
     Parameters
     ----------
     count : int
-    seed : int
-        Of the choice; the same gives the same.
     """
     # At random: of a regular grid of points every nth may lie in one column.
-    chosen = np.random.default_rng(seed).choice(count, POOL, replace=False) if count > POOL else np.arange(count)
+    chosen = np.random.default_rng(0).choice(count, POOL, replace=False) if count > POOL else np.arange(count)
     return np.sort(chosen)
 
 
-def _samples(count: int, size: int, seed: int) -> list[IntArray]:
+def _samples(count: int, size: int) -> list[IntArray]:
     wanted = int(np.clip(np.ceil(ENOUGH / CLEAN**size), FEWEST, MOST))
     # So few choices are all tried: nothing is left to chance.
     if comb(count, size) <= wanted:
         return [np.array(chosen, dtype=np.int64) for chosen in combinations(range(count), size)]
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     return [random.choice(count, size, replace=False) for _ in range(wanted)]
 
 
