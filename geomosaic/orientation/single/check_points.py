@@ -195,12 +195,7 @@ def height_statements(errors: AnyArray) -> list[str]:
 
 
 def check_model(
-    model: SensorModel,
-    ids: Sequence[str],
-    ground: AnyArray,
-    colrow: AnyArray,
-    unit: str = "map units",
-    survey_rms: float = 0.0,
+    model: SensorModel, ids: Sequence[str], ground: AnyArray, colrow: AnyArray, unit: str
 ) -> CheckStatistics:
     """Statistics of check points measured in an image with a model.
 
@@ -217,15 +212,13 @@ def check_model(
         Measured pixels.
     unit : str
         Of the map, for sentences.
-    survey_rms : float
-        RMS length of the errors of `ground`.
     """
     places = np.asarray(ground, dtype=np.float64)
     xyz = np.zeros((len(places), 3))
     xyz[:, : places.shape[1]] = places
     pixels = np.asarray(colrow, dtype=np.float64) - model.ground_to_image(xyz)
     errors = np.einsum("nij,nj->ni", map_by_image(model, xyz), pixels)
-    return check_errors(ids, errors, unit, survey_rms)
+    return check_errors(ids, errors, unit)
 
 
 # Median distances from the median error, from which on a point is wrong; of few points more, by 1 + 12 / N².
