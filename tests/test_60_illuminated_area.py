@@ -180,3 +180,25 @@ def test_level_ground_is_not_flattened(gentle) -> None:
     with pytest.raises(InputError, match="needs the relief"):
         gm.ortho(given, folder / "level.tif")
     assert not (folder / "level.tif").exists()
+
+
+def test_pixels_into_which_unknown_ground_may_fall_have_no_value(tmp_path: Path) -> None:
+    """The DEM ends within the scene, and has a hole: what is left is what the whole DEM gives."""
+    scene = Scene(size=SIZE)
+    land = Hill(*(getattr(Land.of(scene), name) for name in ("scene", "middle", "zone")))
+    scene.write(tmp_path, "scene")
+    with rasterio.open(
+        tmp_path / "scene.tif", "w", driver="GTiff", width=SIZE[0], height=SIZE[1], count=1, dtype="uint8"
+    ) as file:
+        file.write(np.ones((1, SIZE[1], SIZE[0]), dtype=np.uint8))
+    given = gm.Scene(tmp_path / "scene.tif", "sar", dem=land.write_dem(tmp_path, 2500.0), dem_heights="ellipsoidal")
+    whole = area_of(given)
+    with rasterio.open(tmp_path / "dem.tif", "r+") as file:
+        heights = file.read(1)
+        heights[:, 262:] = heights[240:246, 225:235] = -9999
+        file.nodata = -9999
+        file.write(heights, 1)
+    found = area_of(given)
+    known = np.isfinite(found)
+    assert 0.3 < known.mean() < 0.7
+    assert np.abs(found / whole - 1.0)[known].max() < 5e-3

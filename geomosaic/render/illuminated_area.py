@@ -34,7 +34,9 @@ from geomosaic.surface.model import Surface
 from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 # Pixels of a part that is computed at once. Wide ones: ground beside a part falls into it, along its rows.
-WIDTH, HEIGHT = 4096, 64
+WIDTH, HEIGHT = 4096, 256
+# Rows of it whose facets are in memory at once.
+STRIP = 64
 # Columns and rows between nodes of what is smooth.
 STEP = 64
 # Metres between two heights whose ground places make the vertical.
@@ -59,6 +61,7 @@ class IlluminatedArea:
     model: Any
     surface: Surface
     _parts: OrderedDict[tuple[int, int], AnyArray] = field(default_factory=OrderedDict, repr=False)
+    _making: dict[tuple[int, int], Any] = field(default_factory=dict, repr=False)
     _lock: Any = field(default_factory=Lock, repr=False)
 
     def at(self, window: Window) -> AnyArray:
@@ -79,19 +82,23 @@ class IlluminatedArea:
         return out
 
     def _part(self, part: Window) -> AnyArray:
+        """Part that is computed once, whichever threads ask for it."""
         key = part.col, part.row
         with self._lock:
-            found = self._parts.get(key)
-            if found is not None:
-                self._parts.move_to_end(key)
-                return found
-        # Three digits are better than any DEM.
-        found = self.summed(part).astype(np.float16)
-        with self._lock:
-            self._parts[key] = found
-            while sum(one.nbytes for one in self._parts.values()) > HELD:
-                self._parts.popitem(last=False)
-        return found
+            making = self._making.setdefault(key, Lock())
+        with making:
+            with self._lock:
+                found = self._parts.pop(key, None)
+                if found is not None:
+                    self._parts[key] = found
+                    return found
+            # Three digits are better than any DEM.
+            found = self.summed(part).astype(np.float16)
+            with self._lock:
+                self._parts[key] = found
+                while sum(one.nbytes for one in self._parts.values()) > HELD:
+                    self._parts.popitem(last=False)
+            return found
 
     def summed(self, part: Window) -> FloatArray:
         """A_γ / A_β (rows, cols) of one part, from the facets of all rows and columns whose ground can fall into it.
@@ -101,13 +108,33 @@ class IlluminatedArea:
         part : Window
             Of the scene.
         """
-        level = _Level.under(self.model, self.surface, part)
-        if level is None:
+        nodes = _Nodes.under(self.model, self.surface, part)
+        if nodes is None:
             return np.full((part.height, part.width), np.nan)
-        heights = self.surface.height(level.map.reshape(2, -1).T).reshape(level.map.shape[1:])
+        total = np.zeros((part.height, part.width))
+        unknown = np.zeros(total.shape, dtype=np.bool_)
+        for first in range(nodes.reach.row, nodes.reach.stop_row, STRIP):
+            # One row more on either side, for the sides of facets across rows.
+            stop = min(first + STRIP, nodes.reach.stop_row)
+            level = nodes.level(max(first - 1, nodes.reach.row), min(stop + 1, nodes.reach.stop_row))
+            heights = self.surface.height(level.map.reshape(2, -1).T).reshape(level.map.shape[1:])
+            missing = np.isnan(heights)
+            # A facet needs the rows on either side of its own.
+            heights[1:][missing[:-1]] = np.nan
+            heights[:-1][missing[1:]] = np.nan
+            own = slice(first - level.first_row, stop - level.first_row)
+            self._add(part, level, heights, own, total)
+            top, bottom = max(first, part.row), min(stop, part.stop_row)
+            if top < bottom:
+                inside = slice(top - level.first_row, bottom - level.first_row)
+                unknown[top - part.row : bottom - part.row] = level.open_pixels(heights, inside, part)
+        ratio = total / nodes.range_step(part)
+        ratio[(ratio < LEAST) | unknown] = np.nan
+        return ratio
+
+    def _add(self, part: Window, level: _Level, heights: FloatArray, own: slice, total: FloatArray) -> None:
+        """Add the areas of facets of some of the level's rows, per length of a row, to the pixels of a part."""
         known = np.isfinite(heights)
-        if not known.any():
-            return np.full((part.height, part.width), np.nan)
         z = np.where(known, heights, level.height) - level.height
         ground = level.ground + z * level.up
         line = level.sensor - ground
@@ -120,31 +147,11 @@ class IlluminatedArea:
         seen = _dot(np.cross(side, np.diff(ground, axis=2), axis=0), sight) * level.turn
         # Per length of the row on level ground: the azimuth side of A_β.
         seen /= _length(np.gradient(level.ground, axis=1))[:, 1:]
-        cols, rows = level.shifted(z)
-        sends = lit[:, 1:] & lit[:, :-1] & (seen > 0.0)
-        shape = part.height, part.width
+        sends = lit[own, 1:] & lit[own, :-1] & (seen[own] > 0.0)
+        cols, rows = (place[own] for place in level.shifted(z))
         middle = np.clip(0.5 * (rows[:, 1:] + rows[:, :-1]), 0.5, self.model.size[1] - 0.5)
-        total = _spread(
-            cols[:, :-1][sends] - part.col, cols[:, 1:][sends] - part.col, middle[sends] - part.row, seen[sends], shape
-        )
-        ratio = total / level.range_step(part)
-        ratio[(ratio < LEAST) | self._open(part, level, known, cols)] = np.nan
-        return ratio
-
-    def _open(self, part: Window, level: _Level, known: BoolArray, cols: FloatArray) -> BoolArray:
-        """Pixels into which ground may fall whose height is not known, were it as high as what is known nearby."""
-        if known.all():
-            return np.zeros((part.height, part.width), dtype=np.bool_)
-        moved = (cols - level.cols)[known]
-        least, most = math.floor(moved.min()), math.ceil(moved.max())
-        # Known rows and columns before the part count too.
-        number = np.concatenate([np.zeros((len(known), 1), dtype=int), np.cumsum(~known, axis=1)], axis=1)
-        pixel = np.arange(part.col, part.stop_col)
-        first = np.searchsorted(level.cols, pixel - most)
-        last = np.searchsorted(level.cols, pixel + 1 - least, side="right")
-        inside = part.row - level.first_row
-        counted = number[inside : inside + part.height]
-        return np.asarray(counted[:, last] > counted[:, first])
+        left, right = cols[:, :-1][sends] - part.col, cols[:, 1:][sends] - part.col
+        total += _spread(left, right, middle[sends] - part.row, seen[own][sends], (part.height, part.width))
 
 
 def _moved(model: Any, crs: CRS, image: FloatArray, limits: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
@@ -237,45 +244,7 @@ class _Level:
     sensor: FloatArray
     map: FloatArray
     bends: FloatArray
-    steps: FloatArray
     turn: float
-
-    @classmethod
-    def under(cls, model: Any, surface: Surface, part: Window) -> _Level | None:
-        """Level ground of all that can fall into a part or shade it; None where the orbit does not pass it."""
-        reach = _Reach.of(model, surface.crs, part, surface.range)
-        if reach is None:
-            return None
-        limits = reach.relief(model, surface)
-        reach = None if limits is None else _Reach.of(model, surface.crs, part, limits)
-        if reach is None or limits is None:
-            return None
-        first, stop, row, stop_row = reach.first, reach.stop, reach.row, reach.stop_row
-        height, half = 0.5 * sum(limits), max(0.5 * (limits[1] - limits[0]), 1.0)
-        to_model = Transform(surface.crs, model.crs)
-        cols = first + np.arange(stop - first + 1.0)
-        at_cols, at_rows = reach.nodes(STEP)
-        image = np.stack(np.meshgrid(at_cols, at_rows), axis=-1).reshape(-1, 2)
-        places, moves = _moved(model, surface.crs, image, limits)
-        zero = to_model(places)
-        up = (to_model(places + _UP) - zero) / RISE
-        sensor = model.sensor_positions(zero)
-        # Shifts by height are quadratics through those of the lowest, the middle and the highest ground.
-        bends = np.concatenate([0.5 * (moves[1] - moves[0]), 0.5 * (moves[1] + moves[0])], axis=1)
-        if not all(np.isfinite(one).all() for one in (zero, up, sensor, bends)):
-            return None
-        shape = len(at_rows), len(at_cols)
-        step = np.gradient(np.linalg.norm(sensor - zero, axis=1).reshape(shape), at_cols, axis=1)
-        whole = np.arange(row + 0.5, stop_row)
-
-        def everywhere(values: FloatArray) -> FloatArray:
-            return _bilinear(np.moveaxis(values.reshape(*shape, -1), -1, 0), (at_rows, at_cols), whole, cols)
-
-        ground, lifted, seen_from = everywhere(zero), everywhere(up), everywhere(sensor)
-        facet = np.cross(ground[:, 1, 0] - ground[:, 0, 0], ground[:, 0, 1] - ground[:, 0, 0])
-        turn = math.copysign(1.0, float(facet @ lifted[:, 0, 0]))
-        xy = everywhere(places[:, :2])
-        return cls(row, cols, height, half, ground, lifted, seen_from, xy, everywhere(bends), everywhere(step)[0], turn)
 
     def shifted(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Columns and rows (rows, points) of the ground at heights above the middle one."""
@@ -286,11 +255,72 @@ class _Level:
             rows + part * (self.bends[1] + part * self.bends[3]),
         )
 
+    def open_pixels(self, heights: FloatArray, inside: slice, part: Window) -> BoolArray:
+        """Pixels of some rows into which ground may fall whose height is not known, were it as high as its neighbours.
+
+        Neighbours are all of these rows whose height is known.
+        """
+        known = np.isfinite(heights[inside])
+        if known.all() or not known.any():
+            return np.full((len(known), part.width), not known.any())
+        moved = (self.shifted(np.nan_to_num(heights - self.height))[0][inside] - self.cols)[known]
+        number = np.concatenate([np.zeros((len(known), 1), dtype=int), np.cumsum(~known, axis=1)], axis=1)
+        pixel = np.arange(part.col, part.stop_col)
+        first = np.searchsorted(self.cols, pixel - math.ceil(moved.max()))
+        last = np.searchsorted(self.cols, pixel + 1 - math.floor(moved.min()), side="right")
+        return np.asarray(number[:, last] > number[:, first])
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes:
+    """What is smooth over the reach of a part, at nodes: the vectors and shifts of `_Level`, one after the other."""
+
+    reach: _Reach
+    half: float
+    rows: FloatArray
+    cols: FloatArray
+    table: FloatArray
+    steps: FloatArray
+
+    @classmethod
+    def under(cls, model: Any, surface: Surface, part: Window) -> _Nodes | None:
+        """Nodes of level ground that can fall into a part or shade it; None where the orbit does not pass it."""
+        reach = _Reach.of(model, surface.crs, part, surface.range)
+        limits = None if reach is None else reach.relief(model, surface)
+        reach = None if limits is None else _Reach.of(model, surface.crs, part, limits)
+        if reach is None or limits is None:
+            return None
+        to_model = Transform(surface.crs, model.crs)
+        cols, rows = reach.nodes(STEP)
+        image = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
+        places, moves = _moved(model, surface.crs, image, limits)
+        zero = to_model(places)
+        up = (to_model(places + _UP) - zero) / RISE
+        sensor = model.sensor_positions(zero)
+        # Shifts by height are quadratics through those of the lowest, the middle and the highest ground.
+        bends = [0.5 * (moves[1] - moves[0]), 0.5 * (moves[1] + moves[0])]
+        table = np.concatenate([zero, up, sensor, places[:, :2], *bends], axis=1)
+        if not np.isfinite(table).all():
+            return None
+        shape = len(rows), len(cols)
+        steps = np.gradient(np.linalg.norm(sensor - zero, axis=1).reshape(shape), cols, axis=1)
+        half = max(0.5 * (limits[1] - limits[0]), 1.0)
+        return cls(reach, half, rows, cols, table.T.reshape(-1, *shape), steps)
+
+    def level(self, row: int, stop_row: int) -> _Level:
+        """Level ground under some rows."""
+        reach = self.reach
+        cols = np.arange(reach.first, reach.stop + 1.0)
+        table = _bilinear(self.table, (self.rows, self.cols), np.arange(row + 0.5, stop_row), cols)
+        ground, up, sensor = table[:3], table[3:6], table[6:9]
+        facet = np.cross(ground[:, 1, 0] - ground[:, 0, 0], ground[:, 0, 1] - ground[:, 0, 0])
+        turn = math.copysign(1.0, float(facet @ up[:, 0, 0]))
+        return _Level(row, cols, reach.height, self.half, ground, up, sensor, table[9:11], table[11:], turn)
+
     def range_step(self, part: Window) -> FloatArray:
         """Metres of slant range from one column to the next, at the pixels of a part."""
-        at = np.searchsorted(self.cols, np.arange(part.col, part.stop_col) + 0.5)
-        inside = part.row - self.first_row
-        return np.asarray(self.steps[inside : inside + part.height, at])
+        rows, cols = np.arange(part.row + 0.5, part.stop_row), np.arange(part.col + 0.5, part.stop_col)
+        return _bilinear(self.steps[None], (self.rows, self.cols), rows, cols)[0]
 
 
 def _spread(
