@@ -334,5 +334,5 @@ def _not_local(name: str, where: str) -> RasterReadError:
     return RasterReadError(
         f"this raster reads from '{name[:100]}', which is no file of this machine",
         where=where,
-        hint="copy that data here first and name the copy; geomosaic fetches nothing",
+        hint="copy that data here first and name the copy; what stands in files opens no connection",
     )

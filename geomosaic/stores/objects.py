@@ -29,7 +29,7 @@ T = TypeVar("T")
 HEAD = 16 << 10
 # Objects whose heads are kept, so that the threads of a process share them, and seconds for which what is asked of them
 # holds; what is open is read on as it was.
-_KEPT, _HOLDS = 4096, 60.0
+_KEPT, _HOLDS = 1024, 60.0
 # Bytes between two ranges that are fetched as one: what a further request costs is more.
 _NEAR = 2 << 10
 # Ranges of one read that are fetched at once.
@@ -64,6 +64,7 @@ class Facts:
 # Ranges that are kept, and their bytes in all.
 _ranges: OrderedDict[tuple[str, int, int, int], bytes] = OrderedDict()
 _RANGES = 32 << 20
+_ranges_bytes = 0
 
 _heads: OrderedDict[str, Facts] = OrderedDict()
 # Size, time and moment of the answer of what lists of folders have told.
@@ -141,10 +142,12 @@ def forget(name: Name | None = None) -> None:
     ----------
     name : Name, optional
     """
+    global _ranges_bytes
     with _lock:
         _lists.clear()
         if name is None:
             _ranges.clear()
+            _ranges_bytes = 0
             _written.clear()
             _heads.clear()
         else:
@@ -208,10 +211,12 @@ def _range(name: Name, known: Facts, start: int, stop: int) -> bytes:
         )
     count(read=len(data))
     if len(data) <= _RANGES // 8:
+        global _ranges_bytes
         with _lock:
+            _ranges_bytes += len(data) - len(_ranges.get(key, b""))
             _ranges[key] = data
-            while sum(map(len, _ranges.values())) > _RANGES:
-                _ranges.popitem(last=False)
+            while _ranges_bytes > _RANGES:
+                _ranges_bytes -= len(_ranges.popitem(last=False)[1])
     return data
 
 
@@ -452,7 +457,7 @@ def _told(name: Name, error: Exception, writing: bool) -> Exception:
     if "redirect" in text.lower():
         return StoreError("the bucket lies in another region", where=where, hint="set AWS_REGION, or AWS_ENDPOINT_URL")
     tries = re.search(r"after (\d+) retries", text)
-    tried = f", after {tries[1]} tries more" if tries and tries[1] != "0" else ""
+    tried = f", after {tries[1]} more tries" if tries and tries[1] != "0" else ""
     if code == 0 and _NO_CREDENTIALS.search(text) and name.scheme in _REFUSED:
         return StoreError("there are no credentials for this store", where=where, hint=_REFUSED[name.scheme])
     if code:
