@@ -18,7 +18,7 @@ from rasterio.errors import RasterioError
 
 from geomosaic.errors import RasterReadError
 from geomosaic.geo.grid import Window
-from geomosaic.raster.environment import environment
+from geomosaic.raster.environment import close_all, environment
 from geomosaic.raster.info import SourceInfo, inspect, open_raster
 from geomosaic.raster.source import Pixels, Source
 from geomosaic.raster.validity import block_mean, combine, missing_by_value, usable_nodata
@@ -135,8 +135,7 @@ class DisplayRaster:
         if self._reduced is not None:
             self._maker.join()
         self._source.close()
-        for handle in self._opened:
-            handle.close()
+        close_all(self._opened)
 
     @property
     def ready(self) -> float:

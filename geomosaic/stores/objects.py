@@ -144,13 +144,15 @@ def forget(name: Name | None = None) -> None:
     """
     global _ranges_bytes
     with _lock:
-        _lists.clear()
         if name is None:
+            _lists.clear()
             _ranges.clear()
             _ranges_bytes = 0
             _written.clear()
+            _listed_objects.clear()
             _heads.clear()
         else:
+            _lists.pop(str(Name(name.scheme, name.store, name.key.rpartition("/")[0])), None)
             _heads.pop(str(name), None)
             _listed_objects.pop(str(name), None)
             _written.pop(str(name), None)
