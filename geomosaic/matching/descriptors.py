@@ -43,9 +43,7 @@ class Expected:
     band: float
 
 
-def match_descriptors(
-    first: Features, second: Features, expected: Expected | None = None, ratio: float = RATIO
-) -> IntArray:
+def match_descriptors(first: Features, second: Features, expected: Expected | None = None) -> IntArray:
     """Matches of the features of two images.
 
     Parameters
@@ -53,8 +51,6 @@ def match_descriptors(
     first, second : Features
     expected : Expected, optional
         Where those of the first are expected in the second; anywhere without it.
-    ratio : float
-        Greatest distance of a descriptor over that of the second nearest.
 
     Returns
     -------
@@ -85,7 +81,7 @@ def match_descriptors(
         expected.colrow - low, lines, np.ascontiguousarray(second.colrow[order] - low), start, cols, rows, reach,
         expected.band, to_second, near, to_first, back,
     )  # fmt: skip
-    found = np.flatnonzero((near[0] < FARTHEST) & (near[0] < ratio**2 * near[1].astype(np.float64)))
+    found = np.flatnonzero((near[0] < FARTHEST) & (near[0] < RATIO**2 * near[1].astype(np.float64)))
     partner = to_second[found]
-    mutual = (to_first[partner] == found) & (back[0, partner] < ratio**2 * back[1, partner].astype(np.float64))
+    mutual = (to_first[partner] == found) & (back[0, partner] < RATIO**2 * back[1, partner].astype(np.float64))
     return np.stack([found[mutual], order[partner[mutual]]], axis=1)

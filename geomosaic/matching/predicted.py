@@ -50,9 +50,7 @@ class Predicted:
         return (off * turned).sum(axis=1), (off * self.along).sum(axis=1)
 
 
-def match_predicted(
-    first: Features, second: Features, predicted: Predicted, tolerance: float, coarse: int = 1500
-) -> IntArray | None:
+def match_predicted(first: Features, second: Features, predicted: Predicted, tolerance: float) -> IntArray | None:
     """Matches of two images, the first's places being expected in the second.
 
     Parameters
@@ -62,8 +60,6 @@ def match_predicted(
         Of all features of the first.
     tolerance : float
         Pixels from the corrected epipolar curve beyond which no match is right.
-    coarse : int
-        Number of features of each that find the correction, those of the largest scale.
 
     Returns
     -------
@@ -75,7 +71,7 @@ def match_predicted(
         return None
     one = first.select(there)
     expected = predicted.select(there)
-    large = [large_features(features, coarse) for features in (one, second)]
+    large = [large_features(features) for features in (one, second)]
     some = match_descriptors(one.select(large[0]), second.select(large[1]))
     rough = _agreeing(
         one, second, np.stack([large[0][some[:, 0]], large[1][some[:, 1]]], axis=1), expected, 2 * tolerance

@@ -174,7 +174,7 @@ def _local_contrast(picture: Picture) -> FloatArray:
     return np.where(weak, 0.0, (values - mean) / np.where(weak, 1.0, deviation))
 
 
-def corners(picture: Picture, most: int, cell: float, border: int = PATCH + 2) -> IntArray:
+def corners(picture: Picture, most: int, cell: float) -> IntArray:
     """Pixels (N, 2) that are well defined in both directions, the strongest of each cell first.
 
     Parameters
@@ -183,13 +183,11 @@ def corners(picture: Picture, most: int, cell: float, border: int = PATCH + 2) -
     most : int
     cell : float
         Side of a cell, pixels.
-    border : int
-        Pixels about a corner that must be valid.
     """
     import cv2
 
     strength = cv2.cornerMinEigenVal(picture.values, 7)
-    strength[~picture.inner(border)] = 0.0
+    strength[~picture.inner(PATCH + 2)] = 0.0
     peaks = (strength > 0.0) & (strength == cv2.dilate(strength, np.ones((11, 11), dtype=np.uint8)))
     rows, cols = np.nonzero(peaks)
     pixels = np.column_stack([cols, rows]).astype(np.int64)

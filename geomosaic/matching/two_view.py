@@ -21,6 +21,8 @@ from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Matches that agree by chance: fewer are no evidence that two images show the same.
 LEAST_MATCHES = 15
+# Features of an image that find the geometry.
+COARSE = 1500
 # Matches around a place from which its affine transformation comes.
 NEIGHBOURS = 12
 CONFIDENCE, ROUNDS = 0.9999, 20_000
@@ -42,7 +44,7 @@ class Pair:
     fundamental: FloatArray
 
 
-def match_pair(first: Features, second: Features, tolerance: float = 4.0, coarse: int = 1500) -> Pair | None:
+def match_pair(first: Features, second: Features, tolerance: float) -> Pair | None:
     """Matches of two images.
 
     Some of the features find the geometry; all of them are then matched where it expects them.
@@ -52,15 +54,13 @@ def match_pair(first: Features, second: Features, tolerance: float = 4.0, coarse
     first, second : Features
     tolerance : float
         Pixels from the epipolar line beyond which no match is right.
-    coarse : int
-        Number of features of each that find the geometry: those of the largest scale, which other views show as well.
 
     Returns
     -------
     Pair or None
         None where too few matches agree.
     """
-    large = [large_features(features, coarse) for features in (first, second)]
+    large = [large_features(features) for features in (first, second)]
     some = match_descriptors(first.select(large[0]), second.select(large[1]))
     matches = np.stack([large[0][some[:, 0]], large[1][some[:, 1]]], axis=1)
     rough = agreeing(first, second, matches, 2.0 * tolerance)
@@ -155,20 +155,18 @@ def _robust(
     return None
 
 
-def large_features(features: Features, count: int) -> IntArray:
+def large_features(features: Features) -> IntArray:
     """Indices of the features of the largest scale, which other views show as well.
 
     Parameters
     ----------
     features : Features
-    count : int
-        Most features.
 
     Returns
     -------
     int array (N,)
     """
-    return np.argsort(-features.scale, kind="stable")[:count]
+    return np.argsort(-features.scale, kind="stable")[:COARSE]
 
 
 def distinct(first: Features, second: Features, pairs: IntArray) -> IntArray:
