@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from cli_rig import PHOTOS
 
@@ -112,6 +113,23 @@ def test_every_step_of_a_mosaic_has_workers_compute_its_units(what, run, tmp_pat
     assert not read_here
 
 
+def test_tie_points_are_those_of_threads_and_the_client_reads_no_photo(run, tmp_path, read_here) -> None:
+    few = {"features": 400, "match_size": 1000}
+    strip = replace(BLOCK, images=[SAMPLE / "photos" / name for name in PHOTOS[:2]])
+    here = gm.match(strip, threads=1, **few)
+    before = units(run)
+    read_here.clear()
+    there = gm.match(strip, cache=tmp_path / "cache", workers=WORKERS, **few)
+    assert len(here.ties) > 50
+    assert there.ties.points == here.ties.points
+    np.testing.assert_array_equal(there.ties.colrow, here.ties.colrow)
+    np.testing.assert_array_equal(there.ties.covariance, here.ties.covariance)
+    assert dict(units(run) - before) == {"content": 2, "features": 2, "pair": 1, "patches": 2}
+    assert not read_here
+    # What they made is kept by the client, whatever workers see of its disk.
+    assert gm.match(strip, cache=tmp_path / "cache", threads=1, **few).ties.points == here.ties.points
+
+
 # Modules with threads of their own, and why these do not go to workers.
 OWN_THREADS = {
     "execution/units.py": "the one loop",
@@ -121,10 +139,8 @@ OWN_THREADS = {
     "project/folders.py": "headers of files for a draft",
     "raster/cog/writer.py": "overviews of the file that the client writes",
     "studio/app.py": "pictures for a browser",
-    "sheets/series/make.py": "not yet",
     "testing/conformance.py": "a test of threads",
     "testing/synthetic/photo.py": "photos for tests",
-    "tie_points/stages.py": "not yet",
 }
 
 

@@ -32,10 +32,11 @@ from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.tie_points import TiePoints, read_ties
+from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.project.load import load_project
 from geomosaic.sensor.error_propagation import InputUncertainty, ellipses
 from geomosaic.sensor.solve import image_to_ground, image_to_height
-from geomosaic.tie_points import grey_images, refinement, stages
+from geomosaic.tie_points import grey_images, refinement, stages, units
 from geomosaic.tie_points.cache import Cache
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.matched_block import MatchedBlock
@@ -94,8 +95,8 @@ def test_every_image_is_tied_and_the_summary_says_how(matched):
 
 
 def test_nothing_is_matched_twice(photos, matched, cache, monkeypatch):
-    monkeypatch.setattr(stages, "detect_by_tiles", None)
-    monkeypatch.setattr(stages, "match_pair", None)
+    monkeypatch.setattr(units, "detect_by_tiles", None)
+    monkeypatch.setattr(units, "match_pair", None)
     monkeypatch.setattr(refinement, "_match", None)
     again = gm.match(photos, cache=cache, **FEW)
     assert (again.ties.colrow == matched.ties.colrow).all()
@@ -212,19 +213,24 @@ def test_kernels_that_are_not_built_are_told_before_any_feature_is_looked_for(ph
         raise InstallationError("the compiled kernels cannot be loaded")
 
     monkeypatch.setattr(run, "library", missing)
-    monkeypatch.setattr(stages, "detect_by_tiles", None)
+    monkeypatch.setattr(units, "detect_by_tiles", None)
     with pytest.raises(InstallationError, match="kernels"):
         gm.match(photos, **FEW)
 
 
-def test_work_that_is_stopped_does_not_go_on_to_its_end():
+def test_work_that_is_stopped_does_not_go_on_to_its_end(photos):
     begun = []
+
+    def unit(matcher: units.Matcher, item: int) -> units.Made:
+        begun.append(item)
+        sleep(0.005)
+        return units.Made("", {})
 
     def stop(done: int, total: int, stage: str) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        stages.in_parallel(stop, 1000, "pairs", (lambda k=k: (begun.append(k), sleep(0.005)) for k in range(1000)))
+        list(stages.Stages(start_block([photos]), TiePointOptions(), stop)._made(unit, range(1000), "pairs"))
     assert len(begun) < 500
 
 
@@ -439,8 +445,8 @@ def test_one_more_photo_costs_that_photo_and_its_pairs_alone(tmp_path: Path, mon
     block = shown(tmp_path, [strip[:300, x : x + 300] for x in (0, 120, 240, 420)])
     gm.match(replace(block, images=block.images[:3]), cache=tmp_path / "cache", features=400)
     detected, measured = [], []
-    detect, measure = stages.detect_by_tiles, refinement._match
-    monkeypatch.setattr(stages, "detect_by_tiles", lambda *words: detected.append(1) or detect(*words))
+    detect, measure = units.detect_by_tiles, refinement._match
+    monkeypatch.setattr(units, "detect_by_tiles", lambda *words: detected.append(1) or detect(*words))
     monkeypatch.setattr(refinement, "_match", lambda *words: measured.append(words[-1]) or measure(*words))
     more = gm.match(block, cache=tmp_path / "cache", features=400)
     assert len(detected) == 1

@@ -85,6 +85,10 @@ class StartBlock:
         """Models as declared."""
         return tuple(scene.model for scene in self.scenes)
 
+    def for_matching(self) -> StartBlock:
+        """Block without what its adjustment alone asks for."""
+        return replace(self, blocks=(), rows=(), frames=())
+
     def select(self, kept: BoolArray) -> StartBlock:
         """Block of some of its images (M,); its parts stay, without the others."""
         numbers = np.flatnonzero(kept).tolist()

@@ -97,15 +97,24 @@ def packed(function: Callable[[Any], Any]) -> bytes:
     WorkerError
         It holds something that cannot leave this process.
     """
-    out = io.BytesIO()
-    out.write(json.dumps(versions()).encode() + b"\n")
     try:
-        _Packer(out, protocol=5).dump(function)
+        return json.dumps(versions()).encode() + b"\n" + as_bytes(function)
     except (TypeError, AttributeError, pickle.PicklingError) as error:
         raise WorkerError(
             f"something of this work cannot be sent to other processes ({error})",
             hint="leave out `workers`: threads of this process do the same",
         ) from error
+
+
+def as_bytes(value: Any) -> bytes:
+    """Value as bytes, in which models are dictionaries of plain values.
+
+    Parameters
+    ----------
+    value
+    """
+    out = io.BytesIO()
+    _Packer(out, protocol=5).dump(value)
     return out.getvalue()
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geomosaic.execution.packing import function_of
+from geomosaic.execution.packing import as_bytes, function_of
 from geomosaic.raster.environment import environment
 from geomosaic.stores.traffic import NO_TRAFFIC, Traffic, traffic
 
@@ -114,7 +114,7 @@ def run_task(key: str, data: bytes | None, items: Sequence[Any]) -> bytes | None
             with environment():
                 while len(results) < len(items) and seconds < LONGEST and sum(map(len, results)) < LARGEST:
                     started = time.perf_counter()
-                    results.append(pickle.dumps(function(items[len(results)]), protocol=5))
+                    results.append(as_bytes(function(items[len(results)])))
                     spent = time.perf_counter() - started
                     seconds, longest = seconds + spent, max(longest, spent)
         except Exception as failure:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, TypeVar
 
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.render import RunningOptions
 from geomosaic.raster.environment import enter_for_good, environment
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ Result = TypeVar("Result")
 
 
 def map_units(
-    function: Callable[[Item], Result], items: Iterable[Item], options: RenderOptions, ahead: int = 3
+    function: Callable[[Item], Result], items: Iterable[Item], options: RunningOptions, ahead: int = 3
 ) -> Generator[tuple[Item, Result], None, None]:
     """Results of a function over items in their order, computed where the options say.
 
@@ -33,7 +33,7 @@ def map_units(
         Of one item; pure, so that an item may be begun twice. For workers see `packing.packed`.
     items : iterable
         Taken as they are needed.
-    options : RenderOptions
+    options : RunningOptions
         Its `threads` and `workers`.
     ahead : int
 
@@ -56,14 +56,14 @@ def map_units(
 
 
 @contextmanager
-def workers_for(options: RenderOptions) -> Iterator[RunReport | None]:
+def workers_for(options: RunningOptions) -> Iterator[RunReport | None]:
     """Workers for all units of a run: opened at first use, closed at the end.
 
     Within another run on the same workers it is a part of that.
 
     Parameters
     ----------
-    options : RenderOptions
+    options : RunningOptions
         Its `workers`, and `memory_limit` for each of them.
 
     Yields

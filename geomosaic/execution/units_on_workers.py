@@ -16,7 +16,7 @@ from geomosaic.execution.task import answer_of
 from geomosaic.execution.unit_times import UnitTimes
 from geomosaic.execution.work import Pending, UnitsLostError, Work
 from geomosaic.execution.workers import Run, run_of
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.render import RunningOptions
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -26,7 +26,7 @@ RETRIES = 3
 
 
 def units_on_workers(
-    function: Callable[[Item], Result], items: Iterable[Item], options: RenderOptions, ahead: int
+    function: Callable[[Item], Result], items: Iterable[Item], options: RunningOptions, ahead: int
 ) -> Generator[tuple[Item, Result], None, None]:
     """Results of a function over items in their order, see `units.map_units`.
 
@@ -34,7 +34,7 @@ def units_on_workers(
     ----------
     function : callable
     items : iterable
-    options : RenderOptions
+    options : RunningOptions
     ahead : int
         Tasks per worker that may be begun before their turn.
 

@@ -13,7 +13,7 @@ from typing import Any
 from geomosaic.errors import WorkersUnreachableError
 from geomosaic.execution.run_report import RunReport, current
 from geomosaic.execution.work import Work, Workers
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.render import RunningOptions
 
 
 @dataclass
@@ -23,7 +23,7 @@ class Run:
     Attributes
     ----------
     wanted : int, str, Executor or Client
-        As in `RenderOptions`.
+        As in `RunningOptions`.
     memory : int
         Bytes that each may hold.
     report : RunReport
@@ -61,12 +61,12 @@ _run: ContextVar[Run | None] = ContextVar("run", default=None)
 
 
 @contextmanager
-def entered(options: RenderOptions) -> Iterator[RunReport]:
+def entered(options: RunningOptions) -> Iterator[RunReport]:
     """Run on workers in this context, see `units.workers_for`.
 
     Parameters
     ----------
-    options : RenderOptions
+    options : RunningOptions
 
     Yields
     ------
@@ -86,12 +86,12 @@ def entered(options: RenderOptions) -> Iterator[RunReport]:
         run.close()
 
 
-def run_of(options: RenderOptions) -> Run | None:
+def run_of(options: RunningOptions) -> Run | None:
     """Run of these workers that is under way.
 
     Parameters
     ----------
-    options : RenderOptions
+    options : RunningOptions
     """
     run = _run.get()
     return run if run is not None and run.wanted == options.workers else None

@@ -111,7 +111,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
         steps.append(
             Step(
                 "match",
-                partial(match, project),
+                partial(match, project, machine),
                 _without_adjustment(orientation) | {name: keys[name] for name in keys if name.startswith("[match]")},
                 (*images, *tables, *masks, *ground, *looked_in),
                 (*layout.ties, *layout.reference_page, *project.found_control, layout.facts("match")),

@@ -69,9 +69,49 @@ def _parse_workers(value: Any) -> int | str:
     return text
 
 
+@dataclass(frozen=True, kw_only=True)
+class WorkerOptions(CheckedOptions, group="running", stage="running"):
+    """Option of what units of work run on; results do not depend on it.
+
+    Attributes
+    ----------
+    workers : int, str, concurrent.futures.Executor or distributed.Client, optional
+        What works in place of threads: processes of this machine, a Dask cluster by its address or client, or any
+        executor.
+    """
+
+    workers: int | str | Any | None = option(
+        None, "Workers in place of threads: a number of processes, or a Dask scheduler such as tls://host:8786.",
+        least=1, metavar="N|ADDRESS", parse=_parse_workers, shown="none",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunningOptions(WorkerOptions, group="running", stage="running"):
+    """Options of what runs in units of work; results do not depend on them.
+
+    Attributes
+    ----------
+    threads : int
+        Worker threads.
+    memory_limit : int
+        Bytes the run may hold; with `workers` each of them.
+    workers
+        See `WorkerOptions`.
+    """
+
+    threads: int = option(
+        default_factory=lambda: os.cpu_count() or 1, help="Worker threads.", least=1, shown="all processors",
+    )  # fmt: skip
+    memory_limit: int = option(
+        2 * GIGABYTE, "Memory the run may hold, such as 512M or 2G.", least=1, metavar="SIZE", shown="2G",
+        parse=parse_size, flag="--mem-limit",
+    )  # fmt: skip
+
+
 @named_only
 @dataclass(frozen=True, kw_only=True)
-class RenderOptions(CheckedOptions, stage="geometry", section="output"):
+class RenderOptions(RunningOptions, stage="geometry", section="output"):
     """Options of a rendered raster.
 
     Attributes
@@ -96,13 +136,8 @@ class RenderOptions(CheckedOptions, stage="geometry", section="output"):
     max_output : int, optional
         Bytes of the largest output that is made, with the rasters that go with it, uncompressed; see
         `geomosaic.raster.files.check_output_size`.
-    threads : int
-        Worker threads; the result does not depend on it.
-    memory_limit : int
-        Bytes the run may hold; with `workers` each of them.
-    workers : int, str, concurrent.futures.Executor or distributed.Client, optional
-        What renders in place of threads: processes of this machine, a Dask cluster by its address or client, or any
-        executor; the result does not depend on it.
+    threads, memory_limit, workers
+        See `RunningOptions`.
     tile : int
         Width of a work unit in pixels, a multiple of the block width; the result does not depend on it.
     progress : callable, optional
@@ -130,19 +165,6 @@ class RenderOptions(CheckedOptions, stage="geometry", section="output"):
     max_output: int | None = option(
         None, "Largest output that is made, with its companions, uncompressed, such as 500G.", least=1, metavar="SIZE",
         shown="64G, or what is free on the disk", parse=parse_size, stage="running",
-    )  # fmt: skip
-    threads: int = option(
-        default_factory=lambda: os.cpu_count() or 1, help="Worker threads.", least=1, shown="all processors",
-        group="running", stage="running", section=None,
-    )  # fmt: skip
-    memory_limit: int = option(
-        2 * GIGABYTE, "Memory the run may hold, such as 512M or 2G.", least=1, metavar="SIZE", shown="2G",
-        parse=parse_size, group="running", stage="running", flag="--mem-limit", section=None,
-    )  # fmt: skip
-    workers: int | str | Any | None = option(
-        None, "Workers in place of threads: a number of processes, or a Dask scheduler such as tls://host:8786.",
-        least=1, metavar="N|ADDRESS", parse=_parse_workers, shown="none", group="running", stage="running",
-        section=None,
     )  # fmt: skip
     tile: int = option(2 * BLOCK_WIDTH, least=BLOCK_WIDTH, group="running", stage="running", flag=None, section=None)
     progress: Progress | None = None

@@ -11,6 +11,7 @@ from geomosaic.errors import InputError, did_you_mean
 from geomosaic.options.check import CheckedOptions, SelfContainedOptions
 from geomosaic.options.declaration import option
 from geomosaic.options.inputs import parse_bounds
+from geomosaic.options.render import WorkerOptions
 
 # Width and height in mm, portrait (ISO 216).
 PAPERS = {"A0": (841.0, 1189.0), "A1": (594.0, 841.0), "A2": (420.0, 594.0), "A3": (297.0, 420.0), "A4": (210.0, 297.0)}
@@ -238,7 +239,7 @@ class SchemeOptions(SelfContainedOptions, group="geometry"):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeriesOptions(CheckedOptions):
+class SeriesOptions(WorkerOptions):
     """Sheets of a series that are made.
 
     Attributes
@@ -249,14 +250,13 @@ class SeriesOptions(CheckedOptions):
         Reach of a sheet beyond its edges, map units.
     only : tuple of str
         Names of the sheets to make; all unless given.
-    workers : int
-        Processes that draw.
+    workers
+        See `WorkerOptions`.
     """
 
     format: str = option("pdf", "Format of the sheets.", choices=("pdf", "png", "tif", "mbtiles", "kmz"))
     overlap: float = option(0.0, "Reach beyond the edges.", least=0.0, metavar="UNITS", shown="0", group="geometry")
     only: tuple[str, ...] = option((), "This sheet; any number of times.", metavar="SHEET", shown="all")
-    workers: int = option(1, "Processes that draw.", least=1, shown="1", group="running")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from geomosaic.options.check import SelfContainedOptions
 from geomosaic.options.declaration import option
+from geomosaic.options.render import RunningOptions
 
 
 @dataclass(frozen=True)
-class TiePointOptions(SelfContainedOptions, group="input", section="match"):
+class TiePointOptions(SelfContainedOptions, RunningOptions, group="input", section="match"):
     """Options of `match`.
 
     Attributes
@@ -33,6 +34,8 @@ class TiePointOptions(SelfContainedOptions, group="input", section="match"):
         Metres that images may lie wrong before.
     reference_sigma, height_sigma : float, optional
         Standard deviations of the reference in one axis, and of the heights, metres.
+    threads, memory_limit, workers
+        See `RunningOptions`.
     """
 
     match_size: int = option(

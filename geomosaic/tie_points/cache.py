@@ -37,6 +37,11 @@ class Cache:
         self._writing = Lock()
         self._used: set[Path] = set()
 
+    @property
+    def names(self) -> frozenset[str] | None:
+        """Names of all that is kept; None where nothing is."""
+        return None if self._folder is None else frozenset(path.stem for path in self._folder.glob("*/*.npz"))
+
     def get(self, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Arrays of a key, made where they are not there yet.
 
@@ -51,9 +56,19 @@ class Cache:
         OutputError
             The folder cannot be made or written, or the disk is full.
         """
+        return make() if self._folder is None else self.named(digest_of(*key), make)
+
+    def named(self, name: str, make: Callable[[], Arrays]) -> Arrays:
+        """Arrays of a name, made where they are not there yet; see `get`.
+
+        Parameters
+        ----------
+        name : str
+            Digest of the key.
+        make : callable
+        """
         if self._folder is None:
             return make()
-        name = digest_of(*key)
         path = self._folder / name[:2] / f"{name}.npz"
         self._used.add(path)
         try:

@@ -15,7 +15,9 @@ from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.control.points import ControlPoints, mean_sigmas
 from geomosaic.errors import GeomosaicError, InputError, SolveError, counted
+from geomosaic.execution.units import map_units, workers_for
 from geomosaic.geo.crs import crs_code, has_heights, horizontal
+from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.control_table import write_control
 from geomosaic.matching.two_view import LEAST_MATCHES
@@ -166,19 +168,16 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
     distant = distances_beyond(start, grid, options.search)
     if np.isfinite(distant).all():
         raise too_distant(distant, scene.path)
-    with (reference := Reference.open(scene, grid)).drawer:
-        searched = SearchedReference(reference)
-        for number, (image, oriented) in enumerate(zip(start.scenes, start.oriented.tolist(), strict=True)):
-            try:
-                if np.isfinite(distant[number]):
-                    raise too_distant(distant[[number]], scene.path)
-                if oriented:
-                    matches[image.name] = match_oriented(image, start.surface, reference, options.search)
-                else:
-                    matches[image.name] = match_unoriented(image, start, searched)
-            except (InputError, SolveError) as error:
-                failures[image.name] = error
-            progress(number + 1, len(start.scenes), "reference")
+    found_in, names = _FoundInReference(start, scene, grid, options.search, distant), start.names
+    with workers_for(options), found_in.searched.reference.drawer:
+        # One image after the other where threads do: each is on all processors.
+        results = map_units(found_in, range(len(names)), replace(options, threads=1))
+        for number, found in results:
+            if isinstance(found, ReferenceMatch):
+                matches[names[number]] = found
+            else:
+                failures[names[number]] = found
+            progress(number + 1, len(names), "reference")
     if not matches:
         name, first = next(iter(failures.items()))
         if len(failures) == 1:
@@ -193,6 +192,43 @@ def reference_control(start: StartBlock, options: TiePointOptions, progress: Pro
     control = _control(start, matches, grid.resolution, np.array([plan, plan, height]))
     why = {name: error.what for name, error in failures.items()}
     return ReferenceControl(str(options.reference), control, matches, why, plan, height)
+
+
+class _FoundInReference:
+    """Places of images of a block in a reference, by their numbers, or why there are none; for any process.
+
+    Parameters
+    ----------
+    start : StartBlock
+    scene : OrientedImage
+        The reference.
+    grid : Grid
+        Its own.
+    search : float
+        See `TiePointOptions`.
+    distant : array (M,)
+        Metres that images lie beyond the reference and the search; NaN for those that do not.
+    """
+
+    def __init__(self, start: StartBlock, scene: OrientedImage, grid: Grid, search: float, distant: FloatArray) -> None:
+        self._made_of = start, scene, grid, search, distant
+        self.searched = SearchedReference(Reference.open(scene, grid))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        start, *rest = self._made_of
+        return _FoundInReference, (start.for_matching(), *rest)
+
+    def __call__(self, number: int) -> ReferenceMatch | GeomosaicError:
+        start, scene, _, search, distant = self._made_of
+        image = start.scenes[number]
+        try:
+            if np.isfinite(distant[number]):
+                return too_distant(distant[[number]], scene.path)
+            if start.oriented[number]:
+                return match_oriented(image, start.surface, self.searched.reference, search)
+            return match_unoriented(image, start, self.searched)
+        except (InputError, SolveError) as error:
+            return error
 
 
 def match_unoriented(image: OrientedImage, start: StartBlock, searched: SearchedReference) -> ReferenceMatch:

@@ -81,7 +81,7 @@ def predicted_places(start: StartBlock, i: int, j: int, colrow: FloatArray) -> P
     colrow : array (N, 2)
         Pixels of the first.
     """
-    first, second = start.models[i], start.models[j]
+    first, second = start.scenes[i].model, start.scenes[j].model
     photos = isinstance(first, HasPose) and isinstance(second, HasPose)
     if photos or not (start.oriented[i] and start.oriented[j]) or not len(colrow):
         return None

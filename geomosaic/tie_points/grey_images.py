@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -55,9 +57,13 @@ class GreyImages:
     def __init__(self, scenes: Sequence[OrientedImage], held: int = HELD) -> None:
         self._scenes = scenes
         self._held = held
+        self._lock = Lock()
         self._parts: OrderedDict[tuple[int, int, Window], Grey] = OrderedDict()
         self._ranges: dict[int, tuple[float, float]] = {}
         self._open: tuple[int, Source] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return GreyImages, (self._scenes, self._held)
 
     def __enter__(self) -> GreyImages:
         return self
@@ -109,6 +115,10 @@ class GreyImages:
         -------
         Grey
         """
+        with self._lock:  # what it gives is not changed any more
+            return self._window(image, shrink, window)
+
+    def _window(self, image: int, shrink: int, window: Window) -> Grey:
         whole = Window(0, 0, *self.size(image, shrink))
         if whole.width * whole.height <= WHOLE:
             kept = self._held_part(image, shrink, whole)

@@ -106,7 +106,7 @@ def dissimilar_pairs(
     few = [(i, j) for i, j in pairs.tolist() if (i, j) not in matched or len(matched[i, j].places) < ENOUGH]
     views: dict[int, FloatArray | None] = {}
     for image in sorted({image for pair in few for image in pair}):
-        middle = np.array([start.models[image].size]) / 2.0
+        middle = np.array([start.scenes[image].model.size]) / 2.0
         views[image] = ground_frames(start, image, middle)[0] if can_rectify(start, image) else None
     found = []
     for i, j in few:
@@ -133,7 +133,9 @@ def can_rectify(start: StartBlock, image: int) -> bool:
     -------
     bool
     """
-    return bool(start.oriented[image]) and (start.surface is not None or not isinstance(start.models[image], HasPose))
+    return bool(start.oriented[image]) and (
+        start.surface is not None or not isinstance(start.scenes[image].model, HasPose)
+    )
 
 
 def ground_frames(start: StartBlock, image: int, colrow: FloatArray) -> FloatArray:
@@ -145,7 +147,7 @@ def ground_frames(start: StartBlock, image: int, colrow: FloatArray) -> FloatArr
     image : int
     colrow : array (N, 2)
     """
-    model = start.models[image]
+    model = start.scenes[image].model
     surface = surface_of(start, model)
     height = image_to_ground(model, colrow, surface)[:, 2]
     known = np.isfinite(height)
@@ -171,7 +173,7 @@ def seen_ground(start: StartBlock, image: int) -> tuple[FloatArray, FloatArray]:
     start : StartBlock
     image : int
     """
-    model = start.models[image]
+    model = start.scenes[image].model
     share = (np.arange(16) + 0.5) / 16.0
     places = np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 2) * model.size
     return places, image_to_ground(model, places, surface_of(start, model))
@@ -194,7 +196,7 @@ def match_rectified(
     tolerance : float
         Pixels of the rectified images from the epipolar line beyond which no match is right.
     """
-    surface, crs = surface_of(start, start.models[i]), horizontal(start.ground)
+    surface, crs = surface_of(start, start.scenes[i].model), horizontal(start.ground)
     try:
         outlines = [footprint(start.scenes[k], surface, crs) for k in (i, j)]
     except GeomosaicError:
@@ -211,7 +213,7 @@ def match_rectified(
     ground = _on_surface(np.column_stack([x.ravel(), y.ravel()]), surface, start)
     found, steps = [], []
     for k in (i, j):
-        model = start.models[k]
+        model = start.scenes[k].model
         there = model.ground_to_image(Transform(surface.crs, model.crs)(ground)).reshape(*x.shape, 2)
         inside = (there >= 0.0).all(axis=2) & (there <= model.size).all(axis=2)
         if not inside.any():

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -16,9 +15,7 @@ from geomosaic.matching.least_squares import HALF, PatchMatches, match_patches
 from geomosaic.matching.tracks import Tracks
 from geomosaic.tie_points.cache import Arrays
 from geomosaic.tie_points.grey_images import GreyImages
-from geomosaic.types import BoolArray, FloatArray, IntArray, Progress
-
-Remember = Callable[[tuple[Any, ...], Callable[[], Arrays]], Arrays]
+from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Correlation of values below which a patch shows something else, and the largest standard deviation that helps.
 LEAST_CORRELATION, LARGEST_SIGMA = 0.7, 0.25
@@ -80,13 +77,42 @@ class RefinedTracks:
         return RefinedTracks(self.tracks.select(kept), self.colrow[kept], self.covariance[kept])
 
 
+@dataclass(frozen=True, eq=False)
+class PointsOfPair:
+    """Points that are to be measured in an image, with their templates in another.
+
+    Attributes
+    ----------
+    first, second : int
+        Numbers of the images; templates are of the first.
+    centres : array (K, 2)
+        Middles of the templates.
+    one, other : Approximations
+        Of the rays of both images.
+    """
+
+    first: int
+    second: int
+    centres: FloatArray
+    one: Approximations
+    other: Approximations
+
+    @property
+    def known(self) -> tuple[FloatArray, ...]:
+        """All that their places depend on, but for the images."""
+        return self.centres, self.one.colrow, self.one.frames, self.other.colrow, self.other.frames, self.other.reach
+
+    def measured(self, pictures: GreyImages) -> Arrays:
+        """Places and covariances in the second image, `colrow` and `covariance`; NaN where lost."""
+        places, covariance = _match(self.centres, self.one, self.other, pictures, (self.first, self.second))
+        return {"colrow": places, "covariance": covariance}
+
+
 def refine(
     tracks: Tracks,
     approximate: Approximations,
     sizes: IntArray,
-    pictures: GreyImages,
-    progress: Progress,
-    remember: Remember = lambda key, make: make(),
+    measured: Callable[[Sequence[PointsOfPair]], Iterator[Arrays]],
 ) -> RefinedTracks:
     """Refined places of tracks.
 
@@ -97,11 +123,8 @@ def refine(
     approximate : Approximations
     sizes : int array (M, 2)
         Width and height of each image.
-    pictures : GreyImages
-    progress : callable
-        Called with (done, total, stage).
-    remember : callable
-        Gives the arrays of a key, or makes them: (two numbers of images, all that was known of the points), callable.
+    measured : callable
+        Gives what `PointsOfPair.measured` gives, of each in their order.
 
     Returns
     -------
@@ -123,21 +146,15 @@ def refine(
     groups = np.split(others[order], np.flatnonzero(np.diff(pair[order])) + 1)
     images = tracks.image[np.array([(base[rows[0]], rows[0]) for rows in groups])]
     groups = [groups[k] for k in neighbours_together(images).tolist()]
-    for number, rows in enumerate(groups):
-        first, second = int(tracks.image[base[rows[0]]]), int(tracks.image[rows[0]])
-        known = found[base[rows]], approximate.select(base[rows]), approximate.select(rows)
-
-        def measured(
-            known: tuple[FloatArray, Approximations, Approximations] = known, images: tuple[int, int] = (first, second)
-        ) -> Arrays:
-            places, certainty = _match(*known, pictures, images)
-            return {"colrow": places, "covariance": certainty}
-
-        centres, one, other = known
-        key = (first, second), centres, one.colrow, one.frames, other.colrow, other.frames, other.reach
-        arrays = remember(key, measured)
+    pairs = [
+        PointsOfPair(
+            int(tracks.image[base[rows[0]]]), int(tracks.image[rows[0]]), found[base[rows]],
+            approximate.select(base[rows]), approximate.select(rows),
+        )
+        for rows in groups
+    ]  # fmt: skip
+    for rows, arrays in zip(groups, measured(pairs), strict=True):
         found[rows], covariance[rows] = arrays["colrow"], arrays["covariance"]
-        progress(number + 1, len(groups), "least squares matching")
     return _kept(tracks, found, covariance, mine)
 
 

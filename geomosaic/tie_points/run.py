@@ -10,6 +10,7 @@ import numpy as np
 
 from geomosaic.block_adjustment.start import StartBlock, places_of, start_block
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.execution.units import workers_for
 from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.kernels.library import library
@@ -127,6 +128,11 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
         The compiled kernels are not there.
     """
     library()  # asked for here: finding features takes minutes
+    with workers_for(options):
+        return _matched(start, options, progress)
+
+
+def _matched(start: StartBlock, options: TiePointOptions, progress: Progress) -> MatchedBlock:
     stages = Stages(start, options, progress)
     found = stages.features()
     wanted = candidate_pairs(start, found, options.neighbours)
@@ -144,7 +150,7 @@ def match_start(start: StartBlock, options: TiePointOptions, progress: Progress 
     result = _result(start, found, refined, chosen)
     # Of images of which no two are tied, who needs ties makes an error (`nothing_in_common`).
     for finding in diagnostics(result.tied, result.features) if len(result.ties) else ():
-        warnings.warn(str(finding), GeomosaicWarning, stacklevel=3)
+        warnings.warn(str(finding), GeomosaicWarning, stacklevel=4)
     return result
 
 

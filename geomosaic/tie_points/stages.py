@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -14,42 +13,33 @@ import numpy as np
 from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.digests import digest_of, sha256, source_digest
-from geomosaic.geo.grid import Window
-from geomosaic.matching.features import BYTES_PER_PIXEL, Features, detect_by_tiles, largest_tile
+from geomosaic.execution.units import map_units
+from geomosaic.matching.features import BYTES_PER_PIXEL, Features, largest_tile
 from geomosaic.matching.fixed_features import fixed_features
-from geomosaic.matching.least_squares import HALF
-from geomosaic.matching.predicted import match_predicted
 from geomosaic.matching.ray_consistency import consistent_rays
 from geomosaic.matching.tracks import PairMatches, Tracks
-from geomosaic.matching.two_view import match_pair
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.raster.info import companions
 from geomosaic.stores.path import to_path
 from geomosaic.tie_points.cache import Arrays, Cache
-from geomosaic.tie_points.footprints import predicted_places
 from geomosaic.tie_points.grey_images import GreyImages
 from geomosaic.tie_points.rectified import (
     Places,
     RectifiedMatches,
     dissimilar_pairs,
     ground_frames,
-    match_rectified,
-    seen_ground,
 )
 from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refine
 from geomosaic.tie_points.screening import area_test, ground_matches
-from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray, Progress
+from geomosaic.tie_points.units import Made, Matcher, PairOfFeatures
+from geomosaic.types import BoolArray, FloatArray, IntArray, Progress
 
-# Pixels of the reduced image from the epipolar line beyond which no match is right: lenses that are not known yet bend
-# the lines by a few.
-TOLERANCE = 2.0
 # Pixels of the reduced image within which the place of a feature is found again.
 NEAR_PIXELS = 2.0
-# Pixels of the reduced image from an edge of what is valid, within which features are those of the edge; at full size
-# patches about them must not reach beyond it either.
-BORDER = 8
-# Bytes that all images together may take whose features are looked for at the same time.
-MEMORY = 1_400_000_000
+# Parts of the memory limit for images whose features are looked for at the same time, and for those at full size.
+OF_FEATURES, OF_PICTURES = 0.65, 0.5
+# What is made of an image or a pair, by `Matcher`.
+_Unit = Callable[[Matcher, Any], Made]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +69,12 @@ class Stages:
         import cv2
 
         options, made_by = self.options, (source_digest(__name__), cv2.__version__)
+        contents = map_units(partial(_content, self.start.scenes), range(len(self.start.scenes)), options)
         return [
-            (_content(scene) if options.cache else "", scene.nodata, scene.bands, scene.usable,
+            (content, scene.nodata, scene.bands, scene.usable,
              None if scene.clouds is None else (scene.clouds, sha256(scene.clouds.path)), options.match_size,
              options.features, made_by)
-            for scene in self.start.scenes
+            for scene, (_, content) in zip(self.start.scenes, contents, strict=True)
         ]  # fmt: skip
 
     @cached_property
@@ -96,6 +87,13 @@ class Stages:
         """Test of pixels of an image, by its number, for areas without tie points."""
         return None if self.options.leave_out is None else area_test(self.start, self.options.leave_out)
 
+    @cached_property
+    def matcher(self) -> Matcher:
+        """Matching of single images and pairs, on threads or workers."""
+        options, kept = self.options, self.cache.names
+        pictures = GreyImages(self.start.scenes, int(OF_PICTURES * options.memory_limit))
+        return Matcher(self.start, options, self.shrink, pictures, () if kept is None else tuple(self.keys), kept)
+
     def features(self) -> list[Features]:
         """Features of each image, in pixels of its file."""
         sizes = [scene.model.size for scene in self.start.scenes]
@@ -103,32 +101,25 @@ class Stages:
             BYTES_PER_PIXEL * largest_tile((-(-width // by), -(-height // by)))
             for (width, height), by in zip(sizes, self.shrink.tolist(), strict=True)
         )
-        return in_parallel(
-            self.progress, len(sizes), "features", (partial(self._features, k) for k in range(len(sizes))),
-            max(1, int(MEMORY / needed)),
-        )  # fmt: skip
+        most = max(1, int(OF_FEATURES * self.options.memory_limit / needed))
+        return [Features(**arrays) for arrays in self._made(Matcher.features, range(len(sizes)), "features", most)]
 
-    def _features(self, number: int) -> Features:
-        scene, shrink = self.start.scenes[number], int(self.shrink[number])
+    def _made(self, unit: _Unit, items: Sequence[Any], stage: str, most: int | None = None) -> Iterator[Arrays]:
+        """Arrays of items in their order, kept of earlier runs or for later ones; at most so many at the same time."""
+        threads = self.options.threads if most is None else min(self.options.threads, most)
+        limited = replace(self.options, threads=threads)
+        with closing(map_units(partial(unit, self.matcher), items, limited)) as results:
+            for done, (item, made) in enumerate(results, start=1):
+                yield self._kept(unit, item, made)
+                self.progress(done, len(items), stage)
 
-        def made() -> dict[str, AnyArray]:
-            import cv2
+    def _kept(self, unit: _Unit, item: Any, made: Made) -> Arrays:
+        """Arrays of an item, which are kept; those of an earlier run that are damaged are made again."""
 
-            border = max(BORDER, -(-(HALF + 2) // shrink))
-            kernel = np.ones((2 * border + 1, 2 * border + 1), dtype=np.uint8)
-            with GreyImages([scene]) as pictures:
+        def arrays() -> Arrays:
+            return made.arrays if made.arrays is not None else unit(replace(self.matcher, kept=None), item).arrays or {}
 
-                def read(window: Window) -> tuple[AnyArray, BoolArray | None]:
-                    grey = pictures.window(0, shrink, window)
-                    wanted = None if grey.valid is None else cv2.erode(grey.valid.astype(np.uint8), kernel) != 0
-                    return grey.values, wanted
-
-                found = detect_by_tiles(read, pictures.size(0, shrink), self.options.features).scaled(shrink)
-            return {
-                "colrow": found.colrow, "scale": found.scale, "angle": found.angle, "descriptors": found.descriptors
-            }  # fmt: skip
-
-        return Features(**self.cache.get(("features", *self.keys[number]), made))
+        return self.cache.named(made.name, arrays)
 
     def pairs(self, found: Sequence[Features], wanted: IntArray) -> list[PairMatches]:
         """Matches of pairs of images that share ground, without those of data strips, clocks and areas left out.
@@ -139,9 +130,8 @@ class Stages:
         wanted : int array (P, 2)
             Numbers of the images that are compared.
         """
-        matched = in_parallel(
-            self.progress, len(wanted), "pairs", (partial(self._pair, i, j, found) for i, j in wanted.tolist())
-        )
+        pairs = [PairOfFeatures(i, j, found[i], found[j]) for i, j in wanted.tolist()]
+        matched = list(map(_pair_matches, pairs, self._made(Matcher.pair, pairs, "pairs")))
         sizes = np.array([scene.model.size for scene in self.start.scenes])
         reach: FloatArray = NEAR_PIXELS * self.shrink.astype(np.float64)
         unwanted = fixed_features(found, sizes, reach)
@@ -151,28 +141,9 @@ class Stages:
 
     def _rematch(self, i: int, j: int, features: Sequence[Features]) -> PairMatches | None:
         """Matches of two images by some of their features."""
-        return self._pair(i, j, features, tuple(digest_of(features[k].colrow) for k in (i, j) if self.options.cache))
-
-    def _pair(self, i: int, j: int, found: Sequence[Features], which: tuple[str, ...] = ()) -> PairMatches | None:
-        """Matches of two images; None where they show nothing in common."""
-        predicted = predicted_places(self.start, i, j, found[i].colrow)
-        tolerance = TOLERANCE * self.shrink[[i, j]].max()
-
-        def made() -> dict[str, AnyArray]:
-            matches = None if predicted is None else match_predicted(found[i], found[j], predicted, tolerance)
-            if matches is None:
-                pair = match_pair(found[i], found[j], tolerance)
-                if pair is None:
-                    return {"places": np.zeros((0, 2), dtype=np.int64), "cost": np.zeros(0)}
-                matches = pair.matches
-            one, other = matches.T
-            apart = found[i].descriptors[one].astype(np.float64) - found[j].descriptors[other]
-            places = np.stack([found[i].place[one], found[j].place[other]], axis=1)
-            return {"places": places, "cost": np.linalg.norm(apart, axis=1)}
-
-        said = () if predicted is None else (predicted.colrow, predicted.along)
-        arrays = self.cache.get(("pair", self.keys[i], self.keys[j], which, *said), made)
-        return PairMatches(i, j, arrays["places"], arrays["cost"]) if len(arrays["places"]) else None
+        which = tuple(digest_of(features[k].colrow) for k in (i, j) if self.options.cache)
+        pair = PairOfFeatures(i, j, features[i], features[j], which)
+        return _pair_matches(pair, self._kept(Matcher.pair, pair, self.matcher.pair(pair)))
 
     def with_ground_pairs(
         self, found: Sequence[Features], wanted: IntArray, matched: Sequence[PairMatches]
@@ -191,30 +162,15 @@ class Stages:
         ]
         known = {(each.first, each.second): each for each in matched}
         dissimilar = dissimilar_pairs(self.start, wanted, known)
-        on_ground = in_parallel(
-            self.progress, len(dissimilar), "pairs on the ground",
-            (partial(self._rectified, i, j) for i, j in dissimilar),
-        )  # fmt: skip
-        for (i, j), more in zip(dissimilar, on_ground, strict=True):
-            if more is not None and (len(more.one) > len(known[i, j].places) if (i, j) in known else True):
+        on_ground = self._made(Matcher.rectified, dissimilar, "pairs on the ground")
+        for (i, j), arrays in zip(dissimilar, on_ground, strict=True):
+            more = RectifiedMatches(**arrays)
+            if len(more.one) and (len(more.one) > len(known[i, j].places) if (i, j) in known else True):
                 reach = NEAR_PIXELS * more.reach
                 places[i], one = places[i].including(more.one, float(reach[0]))
                 places[j], other = places[j].including(more.other, float(reach[1]))
                 known[i, j] = PairMatches(i, j, np.stack([one, other], axis=1), more.cost)
         return places, list(known.values())
-
-    def _rectified(self, i: int, j: int) -> RectifiedMatches | None:
-        """Matches of two images on the ground; None where they show nothing in common."""
-
-        def made() -> dict[str, AnyArray]:
-            found = match_rectified(self.start, i, j, self.options.match_size, self.options.features, TOLERANCE)
-            if found is None:
-                return {"one": np.zeros((0, 2)), "other": np.zeros((0, 2)), "cost": np.zeros(0), "reach": np.zeros(2)}
-            return {"one": found.one, "other": found.other, "cost": found.cost, "reach": found.reach}
-
-        said = (sample for image in (i, j) for sample in seen_ground(self.start, image))
-        arrays = self.cache.get(("on the ground", self.keys[i], self.keys[j], *said), made)
-        return RectifiedMatches(**arrays) if len(arrays["one"]) else None
 
     def refined(self, found: Sequence[Features], places: Sequence[Places], tracks: Tracks) -> RefinedTracks:
         """Tracks measured at full size, without rays that neighbours contradict or that lie in areas left out.
@@ -225,15 +181,12 @@ class Stages:
         places : sequence of Places
         tracks : Tracks
         """
-
-        def remember(key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
-            (first, second), *known = key
-            return self.cache.get(("patches", self.keys[first], self.keys[second], *known), make)
-
         approximate = self._approximations(found, places, tracks)
         sizes = np.array([scene.model.size for scene in self.start.scenes])
-        with GreyImages(self.start.scenes) as pictures:
-            refined = refine(tracks, approximate, sizes, pictures, self.progress, remember)
+        with self.matcher.pictures:
+            # One after the other where threads do: each is on all processors.
+            points = partial(self._made, Matcher.patches, stage="least squares matching", most=1)
+            refined = refine(tracks, approximate, sizes, points)
         refined = refined.select(consistent_rays(refined.tracks, refined.colrow))
         if self.left_out is None:
             return refined
@@ -260,28 +213,9 @@ class Stages:
         return Approximations(colrow, frames, reach)
 
 
-def in_parallel(
-    progress: Progress, total: int, stage: str, jobs: Iterable[Callable[[], Any]], most: int | None = None
-) -> list[Any]:
-    """Results of jobs in their order, a processor for each that there is.
-
-    Parameters
-    ----------
-    progress : callable
-        Called with (done, total, stage).
-    total : int
-        Number of jobs.
-    stage : str
-    jobs : iterable of callable
-    most : int, optional
-        Jobs that may run at the same time.
-    """
-    done = []
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, most or total or 1)) as pool:
-        for number, result in enumerate(pool.map(lambda job: job(), jobs)):
-            done.append(result)
-            progress(number + 1, total, stage)
-    return done
+def _pair_matches(pair: PairOfFeatures, arrays: Arrays) -> PairMatches | None:
+    """Matches of a pair; None where its images show nothing in common."""
+    return PairMatches(pair.first, pair.second, arrays["places"], arrays["cost"]) if len(arrays["places"]) else None
 
 
 def shrinkage(size: tuple[int, int], longest: int) -> int:
@@ -295,8 +229,9 @@ def shrinkage(size: tuple[int, int], longest: int) -> int:
     return max(1, round(max(size) / longest))
 
 
-def _content(scene: OrientedImage) -> str:
+def _content(scenes: Sequence[OrientedImage], number: int) -> str:
     """Digest of an image, of the files beside it that count (masks, sources of a VRT), and of what they say of it."""
+    scene = scenes[number]
     path = to_path(scene.path)
     beside = companions(path, scene.bands)
     return digest_of(*map(sha256, (path, *beside.files)), asdict(beside.metadata))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.errors import InputError
 from geomosaic.inputs.frames import positions_crs
 from geomosaic.jobs.manifest import Layout, recorded_warnings, write_json
-from geomosaic.jobs.step import Context
+from geomosaic.jobs.step import Context, Machine
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.options.tie_points import TiePointOptions
 from geomosaic.project.load import Project
@@ -20,12 +21,13 @@ if TYPE_CHECKING:
     from geomosaic.tie_points.control import ReferenceControl
 
 
-def match(project: Project, context: Context) -> Mapping[str, Any]:
+def match(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Step "match": the table of tie points, the page that shows them, and what was found in each image and pair.
 
     Parameters
     ----------
     project : Project
+    machine : Machine
     context : Context
 
     Returns
@@ -44,7 +46,7 @@ def match(project: Project, context: Context) -> Mapping[str, Any]:
     from geomosaic.tie_points.diagnostics import nothing_in_common
     from geomosaic.tie_points.run import match_start
 
-    layout, options = Layout(project), project.matching or TiePointOptions()
+    layout, options = Layout(project), replace(project.matching or TiePointOptions(), **machine.options)
     with recorded_warnings() as notes, keys_in_errors(project.path.name, "match"):
         start = start_block(project.blocks)
         control = None if options.reference is None else _found_control(project, start, options, context.progress)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,8 +17,10 @@ from pyproj import CRS
 import geomosaic
 from geomosaic.digests import digest_of, sha256
 from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
+from geomosaic.execution.units import map_units
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
+from geomosaic.options.render import RunningOptions
 from geomosaic.options.sheet import SeriesOptions, scale_text
 from geomosaic.raster.files import Hashes, write_text
 from geomosaic.raster.pictures import raster_grid
@@ -153,6 +153,8 @@ def _write_index(
     return package, page.path
 
 
+# A sheet needs the memory that its paper and resolution ask for; a cluster has a limit of its own.
+UNLIMITED = {"memory_limit": 1 << 60}
 # At some seconds each more would take a day: the scale is a slip rather than a wish.
 _MOST_SHEETS = 5000
 
@@ -255,15 +257,17 @@ def make_series(
         if state == "finished":
             kept.append(path)
         else:
-            tasks.append(_Task(inputs, place, path, state == "older"))
+            tasks.append(_Task(_anywhere(inputs), place, path.absolute()))
     _write_record(folder, record)
     made = []
-    for done, (task, remarks) in enumerate(_run(tasks, wanted.workers), 1):
+    # Matplotlib is not made for threads: one sheet after the other, or on workers.
+    running = RunningOptions(threads=1, workers=wanted.workers, **UNLIMITED if isinstance(wanted.workers, int) else {})
+    for done, (task, remarks) in enumerate(map_units(_draw, tasks, running) if tasks else (), 1):
         entry = record["sheets"][task.path.name]
         entry["sha256"] = sha256(task.path)
         entry.pop("was", None)
         _write_record(folder, record)
-        made.append(task.path)
+        made.append(folder / task.path.name)
         for text in remarks:
             warnings.warn(f"{task.place.name}: {text}", GeomosaicWarning, stacklevel=2)
         if progress is not None:
@@ -280,7 +284,6 @@ class _Task:
     inputs: SheetInputs
     place: SheetPlace
     path: Path
-    overwrite: bool
 
 
 def _meet(place: SheetPlace, bounds: Bounds) -> bool:
@@ -319,26 +322,19 @@ def _tell_differences(scheme: Scheme, name: str, crs: CRS, scale: float | None) 
         )
 
 
-def _run(tasks: Sequence[_Task], workers: int) -> Iterator[tuple[_Task, list[str]]]:
-    """Draw the sheets, each in the order of the list."""
-    if workers == 1 or len(tasks) < 2:
-        for task in tasks:
-            yield task, _draw(task)
-        return
-    # Matplotlib is not made for threads; new processes start clean on every system.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(tasks)), mp_context=context) as pool:
-        try:
-            yield from zip(tasks, pool.map(_draw, tasks), strict=True)
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+def _anywhere(inputs: SheetInputs) -> SheetInputs:
+    """Inputs with whole paths: a worker may run in another folder."""
+    layers = tuple(replace(layer, path=layer.path.absolute()) for layer in inputs.layers)
+    dem, shade = (None if path is None else path.absolute() for path in (inputs.dem, inputs.shade))
+    return replace(inputs, raster=inputs.raster.absolute(), layers=layers, dem=dem, shade=shade)
 
 
 def _draw(task: _Task) -> list[str]:
     """Draw one sheet; returns what is to be remarks."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        make_sheet(task.inputs, task.path, series=task.place, overwrite=task.overwrite)
+        # What stood there was looked at before, and a worker that is lost may have drawn the sheet already.
+        make_sheet(task.inputs, task.path, series=task.place, overwrite=True)
     return [str(w.message) for w in caught if issubclass(w.category, GeomosaicWarning)]
 
 
