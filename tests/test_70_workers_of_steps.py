@@ -138,6 +138,7 @@ OWN_THREADS = {
     "mosaicking/mosaic.py": "one thread for checksum and drivers while the mosaic is finished",
     "project/folders.py": "headers of files for a draft",
     "raster/cog/writer.py": "overviews of the file that the client writes",
+    "stores/objects.py": "ranges of one file that are read at the same time",
     "studio/app.py": "pictures for a browser",
     "testing/conformance.py": "a test of threads",
     "testing/synthetic/photo.py": "photos for tests",
