@@ -71,6 +71,16 @@ def test_a_mosaic_from_and_to_a_store_has_the_bytes_of_a_local_one(sample: Proxy
     assert sum(one.sent for one in sample.seen if one.path.startswith("/tests/sample/")) <= 1.2 * need
 
 
+def test_objects_of_the_library_are_read_from_a_store(sample: Proxy) -> None:
+    assert gm.Dem.open(_in_store("dem.tif")).grid == gm.Dem.open(SAMPLE / "dem.tif").grid
+    assert dict(gm.Camera.read(_in_store("camera.toml"))) == dict(gm.Camera.read(SAMPLE / "camera.toml"))
+    _put(SAMPLE / "gcps.csv", _in_store("gcps.csv"))
+    both = SAMPLE / "gcps.csv", _in_store("gcps.csv")
+    here, there = (gm.read_control(path, image=PHOTOS[0], crs="EPSG:32633") for path in both)
+    assert here.names == there.names
+    assert (here.colrow == there.colrow).all()
+
+
 @pytest.mark.slow
 def test_tiles_made_by_workers_in_a_store_have_the_bytes_of_local_ones(sample: Proxy, tmp_path: Path) -> None:
     given = {"resolution": 1.0, "tiling": "1024px"}

@@ -28,7 +28,7 @@ from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid
 from geomosaic.raster.environment import environment
 from geomosaic.raster.info import open_raster
-from geomosaic.stores.path import to_path
+from geomosaic.stores.path import given_path, to_path
 from geomosaic.types import FloatArray, PathLike
 
 # Of newer and of older versions.
@@ -431,4 +431,4 @@ def read_control(
     InputError
         Names file, line, point and column.
     """
-    return read_control_file(path, image=image, crs=crs, size=size).control
+    return read_control_file(given_path(path), image=image, crs=crs, size=size).control

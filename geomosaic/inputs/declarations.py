@@ -60,7 +60,7 @@ class Camera(Mapping[str, Any]):
         InputError
             The file cannot be read; names file and line.
         """
-        return cls(**read_camera(path))
+        return cls(**read_camera(path_of(path, "path")))
 
     def __getitem__(self, key: str) -> Any:
         return self._values[key]

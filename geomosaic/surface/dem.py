@@ -21,6 +21,7 @@ from geomosaic.geo.crs import (
 from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.interpolation import bilinear
 from geomosaic.raster.source import Source
+from geomosaic.stores.path import given_path
 from geomosaic.surface.dem_nodes import BLOCK, ArraySource, Nodes
 from geomosaic.surface.model import HeightPatch, Surface, undeclared_heights
 from geomosaic.types import FloatArray, PathLike
@@ -132,6 +133,7 @@ class Dem:
         InputError
             No CRS, no geo-reference, or heights in units that are not known.
         """
+        path = given_path(path)
         place = where or str(path)
         source = Source(path, bands=[band], memory_limit=memory_limit)
         info = source.info
