@@ -72,9 +72,9 @@ class CalibratedValues:
             else:
                 here[:] = part
             factor, offset = self.calibration.at(cols, rows[first : first + many])
-            here *= factor.astype(np.float32)[..., None]
+            here *= factor.astype(np.float32, copy=False)[..., None]
             if offset.any():
-                here += offset.astype(np.float32)[..., None]
+                here += offset.astype(np.float32, copy=False)[..., None]
         if self.area is not None:
             out /= self.area.at(window)[..., None]
         return out

@@ -15,7 +15,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.types import BoolArray, FloatArray, IntArray
+from geomosaic.types import AnyArray, BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,8 +269,8 @@ class Calibration(Protocol):
         terrain-flattened gamma nought.
         """
 
-    def at(self, cols: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Factor and offset (M, N) at the pixels of columns (N,) and rows (M,); 0.5 is the middle of the first.
+    def at(self, cols: FloatArray, rows: FloatArray) -> tuple[AnyArray, AnyArray]:
+        """Factor and offset (M, N) at the pixels of growing columns (N,) and rows (M,); 0.5 is the middle of the first.
 
         The quantity is factor · value + offset, or factor · value² + offset of amplitudes.
 

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import AnyArray, FloatArray, IntArray
 
 # Quantities, and the power of sin θ and cos θ that make them of beta nought.
 QUANTITIES = ("beta0", "sigma0", "gamma0")
@@ -84,8 +85,8 @@ class PixelTable:
         values = np.array([np.interp(cols, columns, line) for columns, line in lines])
         return cls(cols, np.array(rows, dtype=np.float64), values)
 
-    def at(self, cols: FloatArray, rows: FloatArray) -> FloatArray:
-        """Values (M, N), or fewer that are broadcast, at columns (N,) and rows (M,).
+    def at(self, cols: FloatArray, rows: FloatArray) -> AnyArray:
+        """Values (M, N) as float32, or fewer that are broadcast, at columns (N,) and rows (M,), both growing.
 
         Parameters
         ----------
@@ -93,13 +94,22 @@ class PixelTable:
         rows : array (M,)
         """
         if self.values.size == 1:
-            return self.values
-        col, right = _interval(self.cols, cols)
-        lines = self.values[:, col] * (1.0 - right) + self.values[:, np.minimum(col + 1, len(self.cols) - 1)] * right
-        if len(lines) == 1:
-            return np.asarray(lines)
+            return self.values.astype(np.float32)
         row, lower = _interval(self.rows, rows)
-        return np.asarray(lines[row] * (1.0 - lower)[:, None] + lines[row + 1] * lower[:, None])
+        # Lines of the nodes about these rows, at all columns.
+        near = self.values[row[0] : row[-1] + 2] if len(rows) else self.values
+        col, right = _interval(self.cols, cols)
+        lines = near[:, col] * (1.0 - right) + near[:, np.minimum(col + 1, len(self.cols) - 1)] * right
+        lines = lines.astype(np.float32)
+        if len(self.rows) == 1:
+            return np.asarray(lines)
+        out = np.empty((len(rows), len(cols)), dtype=np.float32)
+        ends = np.searchsorted(row, np.arange(row[0], row[-1] + 2)) if len(rows) else []
+        for number, (first, stop) in enumerate(pairwise(ends)):
+            part = lower[first:stop, None].astype(np.float32)
+            np.multiply(part, lines[number + 1] - lines[number], out=out[first:stop])
+            out[first:stop] += lines[number]
+        return out
 
     def cut(self, col: float, row: float) -> Self:
         """Table of an image whose upper-left corner is at (col, row) of this one."""
@@ -153,7 +163,7 @@ class ThermalNoise:
     profiles: PixelTable
     blocks: tuple[NoiseBlock, ...] = ()
 
-    def at(self, cols: FloatArray, rows: FloatArray) -> FloatArray:
+    def at(self, cols: FloatArray, rows: FloatArray) -> AnyArray:
         """Power (M, N), or fewer values that are broadcast, at columns (N,) and rows (M,)."""
         power = self.profiles.at(cols, rows)
         for block in self.blocks:
@@ -227,10 +237,11 @@ class SarCalibration:
         """Whether it is beta nought, to be divided by the area that is lit."""
         return self.kind == FLATTENED
 
-    def at(self, cols: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Factor of the squares and offset (M, N) at columns (N,) and rows (M,)."""
-        factor = 1.0 / np.square(self.amplitude.at(cols, rows))
-        return factor, np.zeros((1, 1)) if self.noise is None else -factor * self.noise.at(cols, rows)
+    def at(self, cols: FloatArray, rows: FloatArray) -> tuple[AnyArray, AnyArray]:
+        """Factor of the squares and offset (M, N) at columns (N,) and rows (M,), both growing."""
+        amplitude = self.amplitude.at(cols, rows)
+        factor = np.reciprocal(np.square(amplitude, out=amplitude), out=amplitude)
+        return factor, np.zeros((1, 1), dtype=np.float32) if self.noise is None else -factor * self.noise.at(cols, rows)
 
     def cut(self, col: float, row: float) -> Self:
         """Calibration of an image whose upper-left corner is at (col, row) of this one."""
