@@ -233,3 +233,26 @@ def test_a_virtual_raster_in_a_store_reads_its_own_folder_alone(object_store: Pr
     with pytest.raises(GeomosaicError, match="no file of this machine"):
         Source(here)
     assert len(object_store.seen) == before
+
+
+def test_keys_of_a_profile_and_the_endpoint_in_gdals_spelling_are_taken(
+    object_store: Proxy, object_server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    keys = f"aws_access_key_id = {object_server.key}\naws_secret_access_key = {object_server.secret}\n"
+    (tmp_path / "credentials").write_text(f"[default]\naws_access_key_id = x\n[survey]\n{keys}")
+    (tmp_path / "config").write_text("[profile survey]\nregion = us-east-1\n")
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_ENDPOINT_URL"):
+        monkeypatch.delenv(name)
+    settings = {
+        "AWS_SHARED_CREDENTIALS_FILE": str(tmp_path / "credentials"),
+        "AWS_CONFIG_FILE": str(tmp_path / "config"),
+        "AWS_PROFILE": "survey",
+        "AWS_S3_ENDPOINT": object_store.endpoint.removeprefix("http://"),
+        "AWS_HTTPS": "NO",
+        "AWS_VIRTUAL_HOSTING": "FALSE",
+    }
+    for name, value in settings.items():
+        monkeypatch.setenv(name, value)
+    clients.forget()
+    write_atomic(given_path("s3://tests/profile/a.txt"), "text")
+    assert read_text(given_path("s3://tests/profile/a.txt"), "text") == "text"
