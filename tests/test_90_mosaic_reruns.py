@@ -55,7 +55,7 @@ def test_an_edited_seam_costs_what_it_touches(own, tell, tmp_path, monkeypatch):
         asked.append(options.threads)
         return map_units(function, items, options, ahead)
 
-    monkeypatch.setattr("geomosaic.mosaicking.mosaic.map_units", noted)
+    monkeypatch.setattr("geomosaic.mosaicking.rendering.map_units", noted)
     before = hashes(own)
     edit_south(own)
     code, out, _ = tell("run", own, "mosaic", "--threads", "16")

@@ -220,7 +220,7 @@ def mosaic_facts(result: MosaicResult) -> dict[str, Any]:
     return {
         **_rendered_facts(result),
         **{name: str(path) if path else None for name, path in companions.items()},
-        **({"tiles": [str(path) for path in result.tiles]} if result.tiles else {}),
+        **({"tiles": [str(path) for path in result.tiles], "tiles_kept": result.reused} if result.tiles else {}),
         "pixels_per_image": list(result.pixels),
         "gains": result.balance.gain.tolist(),
         "offsets": result.balance.offset.tolist(),
@@ -258,11 +258,18 @@ def mosaic_text(result: MosaicResult) -> str:
         lines.append(f"stretched to 8 bits: {result.stretch.low:g} to {result.stretch.high:g} ({result.stretch.how})")
     lines.append(_geometry_text(result, sum(result.seconds.values())))
     if result.tiles:
-        lines.append(f"{counted(len(result.tiles), 'tile')} in {result.tiles[0].parent}")
+        lines.append(f"{counted(len(result.tiles), 'tile')} in {result.tiles[0].parent}{_kept_text(result)}")
     beside = [str(path) for path in (result.labels, result.vectors, result.item) if path]
     lines += [f"beside it: {', '.join(beside)}"] if beside else []
     lines += [*_expected_lines(result), *([] if result.run is None else [str(result.run)])]
     return "\n".join([*lines, *_placement_files(result)])
+
+
+def _kept_text(result: MosaicResult) -> str:
+    """Tiles of an earlier run that were kept, in words."""
+    if not result.reused:
+        return ""
+    return f"; {result.reused} of {result.units} places were kept from an earlier run of the same inputs and options"
 
 
 def _colour_text(overlaps: int, before: float, after: float) -> str:

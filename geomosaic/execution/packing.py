@@ -80,13 +80,14 @@ def check_versions(other: Mapping[str, str], worker: str) -> None:
         )
 
 
-def packed(function: Callable[[Any], Any]) -> bytes:
+def packed(function: Any) -> bytes:
     """Function as bytes: versions in the first line, then itself with all that it holds.
 
     Parameters
     ----------
-    function : callable
-        Of the top level of a module, a `functools.partial` of one, or a value of a class with `__call__`.
+    function : callable or value
+        Of the top level of a module, a `functools.partial` of one, or a value of a class with `__call__`; or what such
+        a value holds, an image for example, of which the bytes are to tell whether it is still the same.
 
     Returns
     -------

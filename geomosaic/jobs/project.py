@@ -29,7 +29,6 @@ from geomosaic.jobs.steps.match import match
 from geomosaic.jobs.steps.mosaic import mosaic, orthos
 from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
-from geomosaic.mosaicking.blending.rules import SINGLE_SOURCE_RULES
 from geomosaic.options.declaration import paths_of
 from geomosaic.options.inputs import CRS_FILES
 from geomosaic.options.naming import keys_in_errors
@@ -85,9 +84,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     # Where outputs lie, and whether there are orthos, shows in the outputs of the steps.
     del place["[output] folder"], place["[output] orthos"]
     blend: dict[str, Any] = {**{name: keys[name] for name in keys if name.startswith("[mosaic]")}, **said_of_master}
-    # Rules that mix several images have no one source per pixel, so no raster of labels.
-    by_rule = options.merge.rule is not None and options.merge.rule not in SINGLE_SOURCE_RULES
-    wants_labels = (layout.labels,) if options.records.labels and not by_rule else ()
+    wants_labels = (layout.labels,) if options.writes_labels else ()
     # A STAC item needs a place on Earth.
     with keys_in_errors(project.path.name):
         nowhere = _in_local_frame(project)

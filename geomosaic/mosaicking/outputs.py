@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +18,9 @@ from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import BLOCK_WIDTH
 from geomosaic.raster.files import check_output, check_output_size, companion
 from geomosaic.raster.info import inspect
+from geomosaic.stores.path import StorePath
 from geomosaic.types import AnyArray, ByteArray, FloatArray, IntArray
+from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from geomosaic.options.mosaic import MosaicOptions, TileSize
@@ -95,7 +99,7 @@ class MosaicFiles:
 
         return cls(
             output,
-            path(options.records.labels, "-labels", ".tif" if options.records.tiling is None else ".vrt"),
+            path(options.writes_labels, "-labels", ".tif" if options.records.tiling is None else ".vrt"),
             path(options.records.views, "-views", ".tif"),
             path(options.records.displacement is not None, "-displacement", ".tif"),
             path(options.uncertainty.accuracy, "-accuracy", ".tif"),
@@ -103,6 +107,62 @@ class MosaicFiles:
             path(options.writes_item and not (grid is not None and grid.crs.is_engineering), "", ".stac.json"),
             options.records.tiling is not None,
         )
+
+    # Folder beside the tiles of what a run keeps for another one.
+    STATE = ".geomosaic"
+
+    @property
+    def state(self) -> Path:
+        """Folder of what a run keeps for another one: records of the tiles, colours and seams."""
+        return self.folder / self.STATE
+
+    @property
+    def _mark(self) -> Path:
+        """File that is there while a mosaic in tiles is not finished."""
+        return self.state / "unfinished"
+
+    @property
+    def token(self) -> str:
+        """Text by which the run that writes the tiles knows their folder; empty where none is under way."""
+        try:
+            return self._mark.read_text(encoding="utf-8")
+        except OSError:
+            return ""
+
+    @contextmanager
+    def unfinished(self) -> Iterator[None]:
+        """Context in which a mosaic in tiles is marked as unfinished: another run may go on, and replace what it finds.
+
+        Raises
+        ------
+        OutputError
+            The folder of the tiles cannot be made or written.
+        """
+        write_atomic(self._mark, os.urandom(16).hex())
+        try:
+            yield
+        except BaseException:
+            if [path.name for path in self.folder.iterdir()] == [self.STATE]:  # there is nothing to go on with
+                _remove_folder(self.folder)
+            raise
+        self._mark.unlink()
+
+    def going_on(self, options: MosaicOptions) -> MosaicOptions:
+        """Options of a run that goes on where another was stopped: it may replace what that has written.
+
+        Parameters
+        ----------
+        options : MosaicOptions
+        """
+        if not (self.tiled and self.token):
+            return options
+        return replace(options, render=replace(options.render, overwrite=True))
+
+    def remove_virtual(self) -> None:
+        """Remove what would show old and new tiles side by side until the last one is written."""
+        for path in (self.mosaic, self.labels, self.index, self.item):
+            if path is not None:
+                path.unlink(missing_ok=True)
 
     @property
     def index(self) -> Path:
@@ -173,7 +233,13 @@ class MosaicFiles:
                 hint=f"call it {self.mosaic.stem}.vrt",
             )
         check_output(self.mosaic, overwrite=options.render.overwrite, inputs=inputs, geotiff=not self.tiled)
-        if self.tiled and self.folder.exists() and not options.render.overwrite and any(self.folder.iterdir()):
+        if not (self.tiled and self.folder.exists()):
+            return
+        if not self.folder.is_dir():
+            raise InputError(
+                "the folder of the tiles is a file", where=str(self.folder), hint="move it away, or give another name"
+            )
+        if not options.render.overwrite and any(self.folder.iterdir()):
             raise OutputExistsError(
                 "the folder of the tiles is not empty", where=str(self.folder), hint="give another name, or `overwrite`"
             )
@@ -204,6 +270,17 @@ class MosaicFiles:
         if self.accuracy is not None:  # three such bands of larger cells
             pixel += -(-12 // options.uncertainty.accuracy_step**2)
         check_output_size(self.mosaic, grid, pixel, options.render.max_output)
+
+
+def _remove_folder(folder: Path) -> None:
+    """Remove a folder of a disk or a store with all that is in it."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            _remove_folder(path)
+        else:
+            path.unlink()
+    if not isinstance(folder, StorePath):
+        folder.rmdir()
 
 
 def _middle(grid: Grid) -> FloatArray:

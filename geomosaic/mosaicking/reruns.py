@@ -32,6 +32,7 @@ from geomosaic.types import IntArray
 from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
+    from geomosaic.mosaicking.blending.rules import RuleBlender
     from geomosaic.mosaicking.colour.stretch import Stretch
     from geomosaic.options.mosaic import MosaicOptions
 
@@ -57,15 +58,14 @@ class KeptUnit:
     facts: list[Fact]
 
 
-class Reuse:
-    """Keys of all units, and those of the earlier run.
+class UnitKeys:
+    """Digests of all that windows of a mosaic depend on.
 
     Parameters
     ----------
     earlier_run : EarlierRun
-    blender : Blender
-    files : mapping of str to Path
-        Rasters of the earlier run, which the new ones replace; `mosaic`, and perhaps `labels` and `views`.
+        Digests of images and ground.
+    blender : Blender or RuleBlender
     options : MosaicOptions
         All of the stages 'geometry' and 'blending' go into the key; those of others show in seams and colours.
     water : str
@@ -73,10 +73,10 @@ class Reuse:
     """
 
     def __init__(
-        self, earlier_run: EarlierRun, blender: Blender, files: dict[str, Path], options: MosaicOptions, water: str = ""
+        self, earlier_run: EarlierRun, blender: Blender | RuleBlender, options: MosaicOptions, water: str = ""
     ) -> None:
-        self._earlier_run, self._blender, self._files = earlier_run, blender, files
-        info, grid = blender.photos.info, blender.grid
+        self._earlier_run, self._blender = earlier_run, blender
+        info, grid = blender.info, blender.grid
         # The label of what no image sees comes after those of all images.
         hidden = len(blender.photos) if options.render.true_ortho else None
         self._base = "|".join(
@@ -87,10 +87,53 @@ class Reuse:
                 str(hidden), water, *(repr(stage_values(options, stage)) for stage in ("geometry", "blending")),
             ]
         )  # fmt: skip
+        self._keys: dict[Window, str] = {}
+
+    def key(self, window: Window) -> str:
+        """Digest of all that a window depends on."""
+        if window not in self._keys:
+            self._keys[window] = self._key(window)
+        return self._keys[window]
+
+    def _key(self, window: Window) -> str:
+        import shapely
+
+        blender = self._blender
+        reach, step = blender.reach, 1e-3 * blender.grid.resolution[0]
+        around = Window(window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach)
+        frame = shapely.box(*blender.grid.crop(around).bounds)
+        parts: list[Any] = [self._base, str(window)]
+        for i in blender.photos.near(around if blender.uses_neighbours else window):
+            outline = blender.photos.outlines[i]
+            # Centres decide who fills gaps; their last digits may differ from run to run.
+            centre = [round(v / step) for v in outline.centre]
+            parts += [i, self._earlier_run.scenes[i], centre, blender.rank(i), colour_bytes(blender.colours[i])]
+            for shape in blender.shapes(i):
+                part = shapely.intersection(shape, frame)
+                # A border whose far end has changed is the same here but for rounding: thousandths of pixels count.
+                part = shapely.transform(part, lambda xy: np.round(xy / step))
+                parts.append(shapely.to_wkb(shapely.normalize(part)))
+        return digest_of(*parts)
+
+
+class Reuse:
+    """Units of an earlier run by their keys.
+
+    Parameters
+    ----------
+    earlier_run : EarlierRun
+    keys : UnitKeys
+    images : int
+        Number of images of the mosaic.
+    files : mapping of str to Path
+        Rasters of the earlier run, which the new ones replace; `mosaic`, and perhaps `labels` and `views`.
+    """
+
+    def __init__(self, earlier_run: EarlierRun, keys: UnitKeys, images: int, files: dict[str, Path]) -> None:
+        self._earlier_run, self._keys, self._images, self._files = earlier_run, keys, images, files
         self.views = False
         """Whether the earlier views are at hand."""
         self._known = self._load()
-        self._keys: dict[Window, str] = {}
         self._kept: dict[str, Any] = {}
         self.taken: set[Window] = set()
 
@@ -116,43 +159,17 @@ class Reuse:
 
     def left(self, windows: Sequence[Window]) -> int:
         """Number of these units that have to be computed."""
-        return sum(self.key(window) not in self._known for window in windows)
-
-    def key(self, window: Window) -> str:
-        """Digest of all that a unit depends on."""
-        if window not in self._keys:
-            self._keys[window] = self._key(window)
-        return self._keys[window]
-
-    def _key(self, window: Window) -> str:
-        import shapely
-
-        blender = self._blender
-        reach, step = blender.reach, 1e-3 * blender.grid.resolution[0]
-        around = Window(window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach)
-        frame = shapely.box(*blender.grid.crop(around).bounds)
-        parts: list[Any] = [self._base, str(window)]
-        for i in blender.photos.near(around if blender.uses_neighbours else window):
-            outline = blender.photos.outlines[i]
-            # Centres decide who fills gaps; their last digits may differ from run to run.
-            centre = [round(v / step) for v in outline.centre]
-            parts += [i, self._earlier_run.scenes[i], centre, blender.rank(i), colour_bytes(blender.colours[i])]
-            for shape in (blender.seams.polygons[i], blender.seams.outlines[i]):
-                part = shapely.intersection(shape, frame)
-                # A border whose far end has changed is the same here but for rounding: thousandths of pixels count.
-                part = shapely.transform(part, lambda xy: np.round(xy / step))
-                parts.append(shapely.to_wkb(shapely.normalize(part)))
-        return digest_of(*parts)
+        return sum(self._keys.key(window) not in self._known for window in windows)
 
     def kept(self, window: Window) -> KeptUnit | None:
         """Unit of the earlier run; None where it has to be computed."""
-        key = self.key(window)
+        key = self._keys.key(window)
         known = self._known.get(key)
         if known is None:
             return None
         self._kept[key] = known
         self.taken.add(window)
-        counted = np.zeros(len(self._blender.photos) + 2, dtype=np.int64)
+        counted = np.zeros(self._images + 2, dtype=np.int64)
         for i, number in known["counts"].items():
             counted[int(i)] = number
         return KeptUnit(window, counted, [(float(e), float(s)) for e, s in known["facts"]])
@@ -161,7 +178,7 @@ class Reuse:
         """Unit that was computed, for the next run."""
         # Without zeros: a unit shows few of thousands of images. JSON has text as keys only.
         shown = {str(i): int(counts[i]) for i in np.flatnonzero(counts)}
-        self._kept[self.key(window)] = {"counts": shown, "facts": facts}
+        self._kept[self._keys.key(window)] = {"counts": shown, "facts": facts}
 
     def save(self) -> None:
         """Keys of this run written for the next."""
@@ -176,7 +193,7 @@ def deciding_code() -> str:
 
 
 def reuse_of(
-    options: MosaicOptions, earlier_run: EarlierRun | None, blender: Blender, files: dict[str, Path], water: str = ""
+    options: MosaicOptions, earlier_run: EarlierRun | None, keys: UnitKeys | None, images: int, files: dict[str, Path]
 ) -> Reuse | None:
     """Reuse of the units of an earlier run, where it is possible.
 
@@ -185,11 +202,11 @@ def reuse_of(
     options : MosaicOptions
     earlier_run : EarlierRun or None
         Of the earlier run.
-    blender : Blender
+    keys : UnitKeys or None
+    images : int
+        Number of images of the mosaic.
     files : dict of str to Path
         Rasters of the earlier run, as in `Reuse`.
-    water : str
-        Fingerprint of water that is filled with a tone.
 
     Returns
     -------
@@ -197,9 +214,9 @@ def reuse_of(
         None without an earlier run, and where lossy compression has changed the values in the files.
     """
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
-    if earlier_run is None or compression not in LOSSLESS:
+    if earlier_run is None or keys is None or compression not in LOSSLESS:
         return None
-    return Reuse(earlier_run, blender, files, options, water)
+    return Reuse(earlier_run, keys, images, files)
 
 
 def colour_bytes(colour: Correction) -> bytes:

@@ -16,6 +16,7 @@ from geomosaic.geo.crs import horizontal, parse_crs
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.geo.units import metres_per_unit
+from geomosaic.mosaicking.kept_tiles import WrittenTile
 from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.provenance import time_span
 from geomosaic.raster.files import check_output, write_text
@@ -82,7 +83,7 @@ def write_collection(
     grid: Grid,
     shapes: list[Any],
     images: list[Path],
-    tiles: Mapping[Window, MosaicFiles],
+    tiles: Mapping[Window, tuple[MosaicFiles, WrittenTile]],
     facts: Mapping[str, Sequence[Any]],
     *,
     overwrite: bool,
@@ -93,8 +94,8 @@ def write_collection(
     ----------
     files, grid, shapes, images, facts, overwrite
         As for `write_item`.
-    tiles : mapping of Window to MosaicFiles
-        Files of each tile, by its place in the grid.
+    tiles : mapping of Window to (MosaicFiles, WrittenTile)
+        Each tile by its place in the grid.
 
     Raises
     ------
@@ -106,14 +107,16 @@ def write_collection(
     assert files.item is not None
     common, root = _common_properties(grid, images, facts), f"../{files.item.name}"
     up = [{"rel": rel, "href": root, "type": "application/json"} for rel in ("root", "parent", "collection")]
-    shown, links = shapely.union_all(shapes), []
-    for window, own in tiles.items():
+    # What all images show together, clipped to each tile, would take time as tiles times images.
+    near, links = shapely.STRtree(shapes), []
+    for window, (own, written) in tiles.items():
         assert own.item is not None
         part = grid.crop(window)
         box = shapely.box(*part.bounds)
-        seen = shapely.intersection(shown, box)
+        seen = shapely.union_all([shapely.intersection(shapes[i], box) for i in sorted(near.query(box))])
         outline = _outline(part, [seen if seen.area > 0 else box])
-        item = _item(own, outline, {**common, **_place(part)}, _assets(own, {}), up)
+        sums = {own.mosaic.parent / name: str(known[2]) for name, known in written.files.items()}
+        item = _item(own, outline, {**common, **_place(part)}, _assets(own, sums), up)
         item["collection"] = files.mosaic.stem
         write_text(own.item, json.dumps(item, indent=2) + "\n", overwrite=overwrite)
         links.append({"rel": "item", "href": f"./{files.folder.name}/{own.item.name}", "type": "application/geo+json"})

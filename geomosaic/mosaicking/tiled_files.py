@@ -13,7 +13,7 @@ from geomosaic.raster.joined_overview import overview_factor, write_overview
 from geomosaic.raster.virtual import write_tile_index, write_vrt
 
 
-def write_virtual(files: MosaicFiles, grid: Grid, tiles: Mapping[Window, MosaicFiles], *, overwrite: bool) -> None:
+def write_virtual(files: MosaicFiles, grid: Grid, tiles: Mapping[Window, MosaicFiles]) -> None:
     """Virtual rasters of mosaic and labels with their overviews, and the tile index.
 
     Parameters
@@ -22,24 +22,22 @@ def write_virtual(files: MosaicFiles, grid: Grid, tiles: Mapping[Window, MosaicF
     grid : Grid
         Of the mosaic.
     tiles : mapping of Window to MosaicFiles
-        Files of the tiles that show something, by their place.
-    overwrite : bool
+        Files of the tiles that show something, by their place. Those that stand there under their names are replaced.
     """
     mosaics = {own.mosaic: window for window, own in tiles.items()}
     labels = {own.labels: window for window, own in tiles.items() if own.labels is not None}
-    # Tiles of an earlier mosaic of this name, of another size or extent, would seem to belong to this one.
+    # Tiles of an earlier mosaic of this name, of another size or extent, would seem to belong to this one; nor is
+    # anyone left who could finish a tile that a worker, perhaps of another machine, has left half made.
     written = {*mosaics, *labels, *(own.item for own in tiles.values())}
     for file in files.folder.iterdir():
-        if re.match(re.escape(files.mosaic.stem) + r"-r\d{3,}-c\d{3,}[-.]", file.name) and file not in written:
+        if re.match(r"\.?" + re.escape(files.mosaic.stem) + r"-r\d{3,}-c\d{3,}[-.]", file.name) and file not in written:
             file.unlink()
     factor = overview_factor(grid, mosaics, BLOCK_WIDTH)
     if files.labels is not None:
-        write_vrt(
-            files.labels, grid, labels, overview=_overview(files.labels, grid, labels, factor), overwrite=overwrite
-        )
-    write_tile_index(files.index, grid, mosaics, overwrite=overwrite)
+        write_vrt(files.labels, grid, labels, overview=_overview(files.labels, grid, labels, factor), overwrite=True)
+    write_tile_index(files.index, grid, mosaics, overwrite=True)
     overview = _overview(files.mosaic, grid, mosaics, factor)
-    write_vrt(files.mosaic, grid, mosaics, overview=overview, overwrite=overwrite)
+    write_vrt(files.mosaic, grid, mosaics, overview=overview, overwrite=True)
 
 
 def _overview(path: Path, grid: Grid, files: Mapping[Path, Window], factor: int) -> Path | None:

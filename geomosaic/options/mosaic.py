@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 # What the balance can solve; gain and offset are always.
 TERMS = ("gain", "vignetting", "trend", "hotspot", "haze", "gamma", "dodging")
 RULES = ("first", "last", "min", "max", "mean", "median", "sum", "count")
+# Rules under which every pixel has one source image.
+SINGLE_SOURCE_RULES = RULES[:2]
 # These look at every image, in whatever order.
 _UNORDERED = tuple(f"rule={rule}" for rule in RULES[2:])
 ORDERS = ("list", "name", "sensor", "resolution", "date", "oldest", "day", "season", "cloud")
@@ -510,6 +512,11 @@ class MosaicOptions:
         """Whether the mosaic needs a surface whatever its images are, as seams beside raised objects do."""
         drawn = self.records.views or self.records.displacement is not None or self.render.true_ortho
         return self.seamlines.seams == "graph-cut" or drawn or self.uncertainty.accuracy
+
+    @property
+    def writes_labels(self) -> bool:
+        """Whether there is a raster of source images: rules that mix several have no one source per pixel."""
+        return self.records.labels and self.merge.rule in (None, *SINGLE_SOURCE_RULES)
 
     @property
     def writes_item(self) -> bool:

@@ -120,6 +120,7 @@ def check_outputs(output: Path, options: MosaicOptions, inputs: Iterable[Path], 
     read = tuple(inputs)
     # All files at once, before any is made: half a set of outputs would be left otherwise.
     files = MosaicFiles.of(output, options)
+    options = files.going_on(options)
     files.check_name(options, read)
     for file in (*files.companions, *more):
         check_output(file, overwrite=options.render.overwrite, inputs=read)

@@ -104,6 +104,10 @@ class Blender:
         """Rank of an image."""
         return self.ranks[index] if self.ranks else 0
 
+    def shapes(self, index: int) -> tuple[Any, ...]:
+        """Shapes of an image that pixels depend on: its seam polygon and footprint."""
+        return self.seams.polygons[index], self.seams.outlines[index]
+
     @property
     def reach(self) -> int:
         """Output pixels beyond a block that its weights depend on."""

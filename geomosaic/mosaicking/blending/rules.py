@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Lattices, cells_of
 from geomosaic.mosaicking.outputs import MosaicUnit
+from geomosaic.options.mosaic import SINGLE_SOURCE_RULES
 from geomosaic.options.render import CELL
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
@@ -20,8 +22,6 @@ from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.types import AnyArray, BoolArray, ByteArray
 
-# Rules under which every pixel has one source image.
-SINGLE_SOURCE_RULES = ("first", "last")
 # Bytes of the stack of all images' values that a median holds at once, however many images overlap.
 MEDIAN_MEMORY = 32 << 20
 
@@ -92,6 +92,29 @@ class RuleBlender:
     def dtype(self) -> str:
         """Sample type of the output."""
         return self.info.dtype
+
+    @property
+    def reach(self) -> int:
+        """Output pixels beyond a block that it depends on: none."""
+        return 0
+
+    @property
+    def fingerprint(self) -> str:
+        """Text of what pixels depend on in every block alike, besides the options."""
+        return f"{self.rule} {list(self.order)}"
+
+    @property
+    def uses_neighbours(self) -> bool:
+        """Whether images beside a block, not above it, can change it."""
+        return False
+
+    def rank(self, index: int) -> int:
+        """Rank of an image: the order says it."""
+        return 0
+
+    def shapes(self, index: int) -> tuple[Any, ...]:
+        """Shapes of an image that pixels depend on: there are no seams."""
+        return ()
 
     def fill(self, window: Window, unit: MosaicUnit) -> None:
         """Block rendered into its place in a unit."""
