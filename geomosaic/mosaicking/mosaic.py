@@ -221,7 +221,7 @@ def _along_seams(given: _Given, files: MosaicFiles, options: MosaicOptions) -> M
             sources = SourceImages(outlines, shares, pixels.by_image, solved, facts)
             write_vectors(files.vectors, grid, sources, parts, quality, overwrite=render.overwrite)
         if files.item is not None and checksum is not None:
-            images, sums = [Path(scene.path) for scene in block.scenes], {files.mosaic: checksum.result()}
+            images, sums = [to_path(scene.path) for scene in block.scenes], {files.mosaic: checksum.result()}
             columns: dict[str, Sequence[Any]] = {**gains(solved), "pixels": pixels.by_image, **facts}
             if files.tiled:
                 write_collection(files, grid, shapes, images, pixels.tiles, columns, overwrite=render.overwrite)
