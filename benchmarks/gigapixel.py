@@ -77,6 +77,7 @@ def measured(folder: Path, gigapixels: float = 20.0, memory: int = 1500, tile: i
 
 def watched(command: list[str], folder: Path, stop_at: int | None = None, how: signal.Signals | None = None) -> Any:
     """One run, stopped with a signal when so many tiles are written; memory is looked at every two seconds."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell, and so by children
     tell(f"  until {'the end' if how is None else f'{stop_at} tiles, then {how.name}'}")
     records, sizes = folder / "gigapixel-tiles" / ".geomosaic", list[float]()
     before, started, used = len(list(records.glob("*-r*.json"))), time.perf_counter(), _children()
