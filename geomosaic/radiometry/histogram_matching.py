@@ -8,11 +8,12 @@ overlap both show the same ground, so that what one has more of, a lake, does no
 from __future__ import annotations
 
 from collections.abc import Sequence
+from heapq import heappop, heappush
 
 import numpy as np
 
 from geomosaic.radiometry.corrections import ToneCurve
-from geomosaic.radiometry.overlaps import MIN_CELLS, Thumbnail
+from geomosaic.radiometry.overlaps import MIN_CELLS, Thumbnail, partners_of_pieces
 from geomosaic.types import AnyArray, FloatArray
 
 # Ranks at which two distributions are compared.
@@ -89,24 +90,27 @@ def match_overlaps(pieces: Sequence[Thumbnail], master: Thumbnail) -> tuple[list
     own: list[list[AnyArray]] = [[] for _ in pieces]
     others: list[list[FloatArray]] = [[] for _ in pieces]
     shared = np.zeros(len(pieces), dtype=np.int64)
+    partners = partners_of_pieces([*pieces, master])
+    waiting: list[tuple[int, int]] = []  # the largest overlap first; of an image the last entry counts
 
-    def meet(done: Thumbnail, curve: ToneCurve) -> None:
-        for i, piece in enumerate(pieces):
-            if i not in curves and (found := common_values(piece, done)) is not None:
+    def meet(number: int, done: Thumbnail, curve: ToneCurve) -> None:
+        for i in partners[number].tolist():
+            if i < len(pieces) and i not in curves and (found := common_values(pieces[i], done)) is not None:
                 own[i].append(found[0])
                 others[i].append(curve(found[1]))
                 shared[i] += len(found[0])
+                if shared[i] >= MIN_CELLS:
+                    # Equal overlaps in the order of the images, so that equal runs give equal curves.
+                    heappush(waiting, (-int(shared[i]), i))
 
-    meet(master, ToneCurve.identity(bands))
-    while True:
-        waiting = [i for i in range(len(pieces)) if i not in curves and shared[i] >= MIN_CELLS]
-        if not waiting:
-            break
-            # Equal overlaps in the order of the images, so that equal runs give equal curves.
-        following = max(waiting, key=lambda i: (shared[i], -i))
+    meet(len(pieces), master, ToneCurve.identity(bands))
+    while waiting:
+        size, following = heappop(waiting)
+        if following in curves or -size != shared[following]:
+            continue
         curves[following] = matching_curve(np.concatenate(own[following]), np.concatenate(others[following]))
         own[following], others[following] = [], []
-        meet(pieces[following], curves[following])
+        meet(following, pieces[following], curves[following])
     alone = [i for i in range(len(pieces)) if i not in curves]
     return [curves.get(i, ToneCurve.identity(bands)) for i in range(len(pieces))], alone
 

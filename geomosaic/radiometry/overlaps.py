@@ -116,6 +116,18 @@ class Overlaps:
             del self._kept[index]
 
 
+def partners_of_pieces(pieces: Sequence[Thumbnail]) -> list[IntArray]:
+    """Thumbnails that share cells with each of some, by number, rising.
+
+    Parameters
+    ----------
+    pieces : sequence of Thumbnail
+    """
+    corners = [(w.col, w.row, w.stop_col, w.stop_row) for w in (piece.window for piece in pieces)]
+    ends = np.array(corners, dtype=np.int64).reshape(-1, 4)
+    return partners_of(ends[:, :2], ends[:, 2:])
+
+
 def partners_of(low: IntArray, high: IntArray) -> list[IntArray]:
     """Windows that share cells with each of some windows.
 

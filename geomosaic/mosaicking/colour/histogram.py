@@ -27,7 +27,7 @@ from geomosaic.options.render import RenderOptions
 from geomosaic.radiometry.corrections import ToneCurve
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.radiometry.histogram_matching import common_values, match_overlaps, match_sequence, match_whole
-from geomosaic.radiometry.overlaps import Overlap, Thumbnail, overlap_of
+from geomosaic.radiometry.overlaps import Overlap, Thumbnail, overlap_of, partners_of_pieces
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
@@ -220,11 +220,11 @@ def _places(grid: Grid, output: Grid) -> Grid:
 
 def _most_overlapping(pieces: list[Thumbnail]) -> int:
     """Image whose window shares most cells with those of the others; of equals, the first."""
-    windows = [piece.window for piece in pieces]
+    partners = partners_of_pieces(pieces)
 
     def shares(i: int) -> int:
-        common = (windows[i].intersection(other) for j, other in enumerate(windows) if j != i)
-        return sum(window.width * window.height for window in common if not window.empty)
+        common = (pieces[i].window.intersection(pieces[j].window) for j in partners[i].tolist())
+        return sum(window.width * window.height for window in common)
 
     return max(range(len(pieces)), key=lambda i: (shares(i), -i))
 
@@ -233,9 +233,9 @@ def _differences(pieces: list[Thumbnail], curves: list[ToneCurve]) -> tuple[np.n
     """RMS difference (bands,) over all overlaps, before and after; number of overlaps."""
     bands = pieces[0].values.shape[2]
     before, after, count, pairs = np.zeros(bands), np.zeros(bands), 0, 0
-    for i, one in enumerate(pieces):
-        for j in range(i + 1, len(pieces)):
-            found = common_values(one, pieces[j])
+    for i, partners in enumerate(partners_of_pieces(pieces)):
+        for j in partners[partners > i].tolist():
+            found = common_values(pieces[i], pieces[j])
             if found is None:
                 continue
             a, b = (values.astype(np.float64) for values in found)
