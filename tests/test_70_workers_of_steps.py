@@ -82,15 +82,15 @@ MOSAICS = {
             "views": True, "displacement": 100.0, "accuracy": True, "sigma_dem": 1.0, "sigma_px": 0.3,
         },
         {
-            "ThumbnailOfImage": 4, "image_terms": 2, "RenderedUnits": 2, "facts_of_image": 2, "LabelledUnits": 4,
-            "AccuracyUnits": 1,
+            "footprint": 2, "ThumbnailOfImage": 4, "image_terms": 2, "RenderedUnits": 2, "facts_of_image": 2,
+            "LabelledUnits": 4, "AccuracyUnits": 1,
         },
     ),
     "balance, outlines of valid pixels, seam quality": (
         {"src_nodata": 0.0, "seam_quality": True, "colour": "gain,vignetting"},
         {
-            "SamplesOfImage": 2, "correction_field": 2, "valid_outline": 2, "RenderedUnits": 2, "facts_of_image": 2,
-            "measured": 1,
+            "footprint": 2, "SamplesOfImage": 2, "correction_field": 2, "valid_outline": 2, "RenderedUnits": 2,
+            "facts_of_image": 2, "measured": 1,
         },
     ),
 }  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.orthos import place_by_control, placement_files, position_target, refuse_ground
 from geomosaic.raster.files import check_output, companion
 from geomosaic.raster.info import inspect
+from geomosaic.render.extent import footprints
 from geomosaic.sensor.registry import plane_sensor
 from geomosaic.stores.path import to_path
 from geomosaic.surface.dem import Dem
@@ -216,7 +218,7 @@ def _rendered(
 ) -> MosaicResult:
     target = position_target(options.uncertainty)
     block = with_common_bands(block, options)
-    grid, outlines = plan_mosaic(block.scenes, block.surface, area)
+    grid, outlines = plan_mosaic(block.scenes, block.surface, area, partial(footprints, running=options.render))
     note_scattered(grid, outlines)
     made = render_mosaic(block, grid, outlines, output, options, reference=reference_of(options, bands))
     return made if made.accuracy is None else replace(made, accuracy=replace(made.accuracy, target=target))

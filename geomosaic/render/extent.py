@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +14,13 @@ from pyproj import CRS
 
 from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.execution.units import map_units
 from geomosaic.geo.crs import crs_name, geographic, horizontal, longitude_latitude_crs
 from geomosaic.geo.engineering_crs import image_frame_crs
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.projection_domain import GREAT, area_of_use, beyond, domain, limits, longitude_latitude
 from geomosaic.geo.transform import Transform
+from geomosaic.options.render import RunningOptions
 from geomosaic.raster.info import inspect
 from geomosaic.surface.model import Surface
 
@@ -76,7 +81,9 @@ def utm_zone(lon: float, lat: float) -> CRS:
     return CRS.from_epsg((32600 if lat >= 0.0 else 32700) + zone)
 
 
-def footprints(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
+def footprints(
+    scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS, running: RunningOptions | None = None
+) -> list[Footprint]:
     """Footprints of all images in the output map.
 
     Parameters
@@ -86,6 +93,8 @@ def footprints(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: 
         None where no model uses heights.
     crs : CRS
         Of the output.
+    running : RunningOptions, optional
+        Workers, where they are to find them.
 
     Returns
     -------
@@ -97,7 +106,13 @@ def footprints(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: 
     InputError
         An image sees no ground.
     """
-    return [footprint(scene, surface, crs) for scene in scenes]
+    # One after the other where threads do: each of them would make its own transformations.
+    running = RunningOptions(threads=1) if running is None else replace(running, threads=1)
+    return [found for _, found in map_units(partial(_footprint, scenes, surface, crs), range(len(scenes)), running)]
+
+
+def _footprint(scenes: Sequence[OrientedImage], surface: Surface | None, crs: CRS, number: int) -> Footprint:
+    return footprint(scenes[number], surface, crs)
 
 
 def nice(resolution: float) -> float:

@@ -7,6 +7,7 @@ import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from geomosaic.mosaicking.colour.solve import keeping_calibration
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
+from geomosaic.options.render import RunningOptions
 from geomosaic.products.mosaics import reference_of, with_common_bands
 from geomosaic.products.orthos import position_target
 from geomosaic.project.load import Project
@@ -64,7 +66,9 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         block = with_common_bands(_block(project, options), options)
         options = keeping_calibration(options, block.scenes)
         earlier_run = _earlier_run(project, options, context)
-        grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, _remembered(earlier_run))
+        grid, outlines = plan_mosaic(
+            block.scenes, block.surface, project.area, _remembered(earlier_run, options.render)
+        )
         result = make(
             block,
             grid,
@@ -195,7 +199,7 @@ def _earlier_run(project: Project, options: MosaicOptions, context: Context) -> 
     return EarlierRun(remembered, scenes, digest_of(said), digest_of(colour), digest_of(seams), context.digest)
 
 
-def _remembered(earlier_run: EarlierRun) -> FindOutlines:
+def _remembered(earlier_run: EarlierRun, running: RunningOptions) -> FindOutlines:
     """Outlines of the images, as an earlier run has found them where nothing they depend on has changed."""
     from geomosaic.mosaicking.reruns import deciding_code
     from geomosaic.mosaicking.result_cache import ResultCache
@@ -203,7 +207,7 @@ def _remembered(earlier_run: EarlierRun) -> FindOutlines:
 
     def find(scenes: tuple[OrientedImage, ...], surface: Surface | None, crs: CRS) -> list[Footprint]:
         key = digest_of(deciding_code(), *earlier_run.scenes, earlier_run.ground, crs.to_wkt())
-        return ResultCache(earlier_run.found).get("footprints", key, lambda: footprints(scenes, surface, crs))
+        return ResultCache(earlier_run.found).get("footprints", key, lambda: footprints(scenes, surface, crs, running))
 
     return find
 
@@ -223,6 +227,7 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
         Number of `orthos`, and `lattice_error_px`, the largest geometric error of them all in image pixels.
     """
     from geomosaic.render.accuracy import Uncertainties, write_accuracy
+    from geomosaic.render.extent import footprints
     from geomosaic.render.ortho import ortho
 
     layout = Layout(project)
@@ -230,7 +235,7 @@ def orthos(project: Project, machine: Machine, context: Context) -> Mapping[str,
     options = wanted.render
     block = _block(project, wanted)
     known = Uncertainties.of(block, wanted.uncertainty, options) if wanted.uncertainty.accuracy else None
-    grid, outlines = plan_mosaic(block.scenes, block.surface, project.area)
+    grid, outlines = plan_mosaic(block.scenes, block.surface, project.area, partial(footprints, running=options))
     (project.output / "orthos").mkdir(parents=True, exist_ok=True)
     errors = []
     absent = layout.no_orthos()
