@@ -7,20 +7,18 @@ import os
 import platform
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import worker_rig
-from worker_rig import small_block
+from worker_rig import cluster, small_block
 
 import geomosaic as gm
 from geomosaic.errors import RasterReadError, WorkerError, WorkersUnreachableError
@@ -29,7 +27,6 @@ from geomosaic.execution.unit_times import LEAST_PATIENCE, PATIENCE, UnitTimes
 from geomosaic.execution.units import map_units, workers_for
 from geomosaic.options.render import RenderOptions
 
-RIGS = Path(worker_rig.__file__).parent
 # Places and units that are small, so that there are many of them.
 PLACE: dict[str, Any] = {"resolution": 0.05, "tile": 1024, "vectors": False, "creation": {"COMPRESS": "JPEG"}}
 
@@ -46,42 +43,6 @@ def few(tmp_path_factory) -> tuple[gm.Block, dict[str, bytes]]:
     """Block of 6 photos, and its mosaic of one thread."""
     block = small_block(tmp_path_factory.mktemp("photos"), 2, 3)
     return block, mosaic(block, tmp_path_factory.mktemp("few") / "one", threads=1)[0]
-
-
-@contextmanager
-def cluster(folder: Path, workers: int = 2, nannies: bool = True) -> Iterator[Any]:
-    """Client of a Dask cluster on this machine whose scheduler and workers are processes of their own."""
-    distributed = pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(RIGS), *sys.path]),
-        "DASK_TEMPORARY_DIRECTORY": str(folder),
-    }
-    address = folder / "scheduler.json"
-
-    def started(*words: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:], "--no-dashboard"]
-        with (folder / "log.txt").open("ab") as log:
-            return subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=folder)
-
-    file = ["--scheduler-file", str(address)]
-    running = [started("dask_scheduler", *file, "--host", "127.0.0.1", "--port", "0")]
-    try:
-        for _ in range(workers):
-            nanny = "--nanny" if nannies else "--no-nanny"
-            running.append(started("dask_worker", *file, "--nthreads", "1", nanny, "--memory-limit", "4GiB"))
-        with distributed.Client(scheduler_file=str(address), set_as_default=False, timeout=30) as client:
-            client.wait_for_workers(workers, timeout=60)
-            client.processes = running
-            yield client
-    finally:
-        for process in reversed(running):
-            process.terminate()
-        for process in reversed(running):
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(5)
-            process.kill()
-            process.wait()
 
 
 class Killer:
@@ -223,11 +184,11 @@ def test_a_scheduler_that_dies_leaves_nothing_half_written_and_the_same_command_
     pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
     import dask
 
-    with dask.config.set({"distributed.comm.timeouts.connect": "2s"}), cluster(tmp_path / "dask") as client:
+    with dask.config.set({"distributed.comm.timeouts.connect": "2s"}), cluster(tmp_path / "dask") as (client, started):
 
         def kill(done: int, total: int, stage: str) -> None:
             if stage == "mosaic" and done == 3:
-                client.processes[0].kill()
+                started[0].kill()
 
         with pytest.raises(WorkersUnreachableError) as caught:
             mosaic(block, tmp_path / "made", workers=client, progress=kill)
@@ -241,7 +202,7 @@ def test_a_scheduler_that_dies_leaves_nothing_half_written_and_the_same_command_
 def test_a_worker_of_a_cluster_that_hangs_is_done_without(nannies, tmp_path, monkeypatch) -> None:
     """With a nanny it is started anew; without one the other does its work."""
     monkeypatch.setattr("geomosaic.execution.unit_times.LEAST_PATIENCE", 10.0)
-    with cluster(tmp_path, nannies=nannies) as client:
+    with cluster(tmp_path, nannies=nannies) as (client, _):
         options = RenderOptions(workers=client)
         with workers_for(options) as run:
             assert [value for _, value in map_units(worker_rig.hangs_once, [str(tmp_path / "marker")], options)] == [
@@ -257,7 +218,7 @@ def test_a_worker_that_cannot_do_the_work_is_named(tmp_path, monkeypatch) -> Non
     block = small_block(photos, 1, 2)
     monkeypatch.chdir(photos)
     unseen = replace(block, images=tuple(Path("/proc/self/cwd") / path.name for path in block.images))
-    with cluster(tmp_path, workers=1) as client:
+    with cluster(tmp_path, workers=1) as (client, _):
         if unseen.images[0].exists():  # on Linux
             with pytest.raises(RasterReadError) as caught:
                 mosaic(unseen, tmp_path / "made", workers=client, balance=False)
@@ -276,7 +237,7 @@ def test_four_hundred_photos_on_a_cluster_whose_workers_are_killed_twenty_times(
     block = small_block(tmp_path / "photos", 20, 20)
     expected, _ = mosaic(block, tmp_path / "one", threads=1)
     (tmp_path / "dask").mkdir()
-    with cluster(tmp_path / "dask") as client:
+    with cluster(tmp_path / "dask") as (client, _):
         undisturbed, made = mosaic(block, tmp_path / "two", workers=client)
         assert undisturbed == expected
         assert not made.run.lost

@@ -21,6 +21,8 @@ SCHEDULER_TIMEOUT = 30
 LOOK, ALONE = 5.0, 120.0
 # Functions whose bytes are held on the cluster.
 _HELD = 4
+# Answers that are fetched at once.
+_TOGETHER = 4
 
 
 class Cluster:
@@ -59,6 +61,7 @@ class Cluster:
             self.close()
             raise
         self._held: dict[str, Any] = {}
+        self._begun: dict[str, _Task] = {}
         self.answered = time.monotonic()
 
     def _check_workers(self, memory: int) -> None:
@@ -90,12 +93,27 @@ class Cluster:
         while len(self._held) > _HELD:
             del self._held[next(iter(self._held))]
         key = f"{work.name}-{os.urandom(8).hex()}"
-        future = self._client.submit(run_task, work.key, data, items, key=key, pure=False)
-        return _Task(self, self._client, future, patience)
+        future = self._client.submit(_run_task, work.key, data, items, key=key, pure=False)
+        task = self._begun[key] = _Task(self, self._client, future, patience)
+        return task
+
+    def gather(self, wanted: _Task) -> None:
+        """Fetch the answer of a task that is over, with those of others that are."""
+        # Each time the scheduler and the workers are asked.
+        over = [one for one in self._begun.values() if one is not wanted and one.over][: _TOGETHER - 1]
+        for task, found in zip(
+            (wanted, *over), self._client.gather([one.future for one in (wanted, *over)], direct=True), strict=True
+        ):
+            task.found = found
+            self.forget(task)
+
+    def forget(self, task: _Task) -> None:
+        """Let go of a task."""
+        self._begun.pop(task.future.key, None)
 
     def close(self) -> None:
         """Close the client that was made."""
-        self._held = {}
+        self._held, self._begun = {}, {}
         if self._own:
             self._client.close()
 
@@ -104,19 +122,27 @@ class _Task:
     """Task on a cluster; its answer comes straight from its worker where that can be reached."""
 
     def __init__(self, cluster: Cluster, client: Any, future: Any, patience: float) -> None:
-        self._cluster, self._client, self._future = cluster, client, future
+        self._cluster, self._client, self.future = cluster, client, future
+        self.found: memoryview | None = None
         self._patience, self._begun = patience, time.monotonic()
         self._done = threading.Event()
         future.add_done_callback(lambda _: self._done.set())
 
-    def answer(self) -> bytes:
+    @property
+    def over(self) -> bool:
+        """Whether its answer can be fetched."""
+        return self._done.is_set() and self.future.status == "finished"
+
+    def answer(self) -> bytes | memoryview:
         """Answer, waited for; the cluster may forget it then."""
         from distributed import KilledWorker
 
         try:
-            self._wait()
-            found: bytes = self._client.gather(self._future, direct=True)
+            if self.found is None:
+                self._wait()
+                self._cluster.gather(self)
         except KilledWorker as error:
+            self.cancel()
             raise UnitsLostError("died", str(error)) from error
         except _gone() as error:
             raise WorkersUnreachableError(
@@ -125,7 +151,8 @@ class _Task:
                 hint="start it anew, then run the same command again: what is whole stays",
             ) from error
         self._cluster.answered = time.monotonic()
-        return found
+        found, self.found = self.found, None
+        return found or b""
 
     def _wait(self) -> None:
         """Wait until the task is over; one whose worker hangs is taken from it."""
@@ -153,13 +180,19 @@ class _Task:
     def _restart_worker(self) -> None:
         """Restart the worker that has the task, where a nanny watches over it."""
         with suppress(Exception):  # without one it keeps hanging, and others do its work
-            busy = [worker for worker, keys in self._client.processing().items() if self._future.key in keys]
+            busy = [worker for worker, keys in self._client.processing().items() if self.future.key in keys]
             self._client.restart_workers(busy, timeout=SCHEDULER_TIMEOUT, raise_for_error=False)
 
     def cancel(self) -> None:
         """Drop it."""
+        self._cluster.forget(self)
         with suppress(Exception):
-            self._future.cancel()
+            self.future.cancel()
+
+
+def _run_task(key: str, data: bytes, items: Sequence[Any]) -> memoryview:
+    """Answer of a task in a form that Dask does not copy."""
+    return memoryview(run_task(key, data, items) or b"")
 
 
 def _gone() -> tuple[type[BaseException], ...]:

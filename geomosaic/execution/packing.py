@@ -98,25 +98,27 @@ def packed(function: Any) -> bytes:
     WorkerError
         It holds something that cannot leave this process.
     """
+    out = io.BytesIO()
+    out.write(json.dumps(versions()).encode() + b"\n")
     try:
-        return json.dumps(versions()).encode() + b"\n" + as_bytes(function)
+        pack_into(out, function)
     except (TypeError, AttributeError, pickle.PicklingError) as error:
         raise WorkerError(
             f"something of this work cannot be sent to other processes ({error})",
             hint="leave out `workers`: threads of this process do the same",
         ) from error
+    return out.getvalue()
 
 
-def as_bytes(value: Any) -> bytes:
-    """Value as bytes, in which models are dictionaries of plain values.
+def pack_into(out: io.BytesIO, value: Any) -> None:
+    """Write a value as bytes, in which models are dictionaries of plain values.
 
     Parameters
     ----------
+    out : BytesIO
     value
     """
-    out = io.BytesIO()
     _Packer(out, protocol=5).dump(value)
-    return out.getvalue()
 
 
 def unpacked(data: bytes) -> Callable[[Any], Any]:

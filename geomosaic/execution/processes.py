@@ -143,8 +143,8 @@ class _Process:
                     if held > most * (1.0 + EXCESS):
                         what = f"it held {held >> 20} MB of memory, the limit is {most >> 20} MB"
                         raise UnitsLostError("memory", what)
-                found: bytes | None = self._pipe.recv()
-                if found is not None:
+                found = self._pipe.recv_bytes()
+                if found:
                     return found
                 self._pipe.send((task.work.key, task.work.data, task.items))
         except (EOFError, OSError) as error:
@@ -185,4 +185,4 @@ def _work(pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(EOFError, OSError):  # the other end has gone
         while True:
-            pipe.send(run_task(*pipe.recv()))
+            pipe.send_bytes(run_task(*pipe.recv()) or b"")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pickle
 import platform
@@ -13,12 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geomosaic.execution.packing import as_bytes, function_of
+from geomosaic.execution.packing import function_of, pack_into
 from geomosaic.raster.environment import environment
 from geomosaic.stores.traffic import NO_TRAFFIC, Traffic, traffic
 
 # A task ends early after so many seconds or bytes of results; what is left of it goes out again.
 LONGEST, LARGEST = 2.0, 16 << 20
+# Bytes of the number at the end that tells where the results end.
+_LENGTH = 8
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ def run_task(key: str, data: bytes | None, items: Sequence[Any]) -> bytes | None
         A pickled `Answer`; None where the function is not here.
     """
     worker = f"{platform.node()}:{os.getpid()}"
-    results: list[bytes] = []
+    results, ends = io.BytesIO(), list[int]()
     error: Exception | None = None
     seconds = longest = 0.0
     with _shared_usage:
@@ -112,45 +115,40 @@ def run_task(key: str, data: bytes | None, items: Sequence[Any]) -> bytes | None
             if function is None:
                 return None
             with environment():
-                while len(results) < len(items) and seconds < LONGEST and sum(map(len, results)) < LARGEST:
+                while len(ends) < len(items) and seconds < LONGEST and results.tell() < LARGEST:
                     started = time.perf_counter()
-                    results.append(as_bytes(function(items[len(results)])))
+                    # Straight into one buffer: with megabytes in each, copies are what a task costs.
+                    pack_into(results, function(items[len(ends)]))
+                    ends.append(results.tell())
                     spent = time.perf_counter() - started
                     seconds, longest = seconds + spent, max(longest, spent)
         except Exception as failure:
             error = _sendable(failure)
         used = _shared_usage.take()
-    head = pickle.dumps((error, worker, seconds, longest, used), protocol=5)
-    return _joined([head, *results])
+    start = ends[-1] if ends else 0  # what a unit left that failed on the way is written over
+    results.seek(start)
+    results.truncate()
+    results.write(pickle.dumps((ends, error, worker, seconds, longest, used), protocol=5))
+    results.write(start.to_bytes(_LENGTH, "little"))
+    return results.getvalue()
 
 
-def answer_of(data: bytes) -> Answer:
+def answer_of(data: bytes | memoryview) -> Answer:
     """Answer that `run_task` gave as bytes.
 
     Parameters
     ----------
-    data : bytes
+    data : bytes or memoryview
 
     Returns
     -------
     Answer
     """
-    head, *results = _parts(data)
-    error, worker, seconds, longest, used = pickle.loads(head)
-    return Answer([pickle.loads(one) for one in results], error, worker, seconds, longest, used)
-
-
-def _joined(parts: Sequence[bytes]) -> bytes:
-    return b"".join(piece for part in parts for piece in (len(part).to_bytes(8, "little"), part))
-
-
-def _parts(data: bytes) -> list[memoryview]:
-    whole, start, found = memoryview(data), 0, []
-    while start < len(whole):
-        size = int.from_bytes(whole[start : start + 8], "little")
-        found.append(whole[start + 8 : start + 8 + size])
-        start += 8 + size
-    return found
+    whole = memoryview(data)
+    start = int.from_bytes(whole[-_LENGTH:], "little")
+    ends, *told = pickle.loads(whole[start:-_LENGTH])
+    results = [pickle.loads(whole[first:end]) for first, end in zip([0, *ends[:-1]], ends, strict=True)] if ends else []
+    return Answer(results, *told)
 
 
 def _sendable(error: Exception) -> Exception:

@@ -63,7 +63,7 @@ class UnitsLostError(Exception):
 class Pending(Protocol):
     """Answer that is on its way."""
 
-    def answer(self) -> bytes:
+    def answer(self) -> bytes | memoryview:
         """Answer of a task as bytes, waited for, see `task.run_task`.
 
         Raises

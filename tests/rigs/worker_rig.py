@@ -1,9 +1,17 @@
-"""Work for workers that comes to grief: units that hang, hold too much memory, or are slow; and a block to mosaic."""
+"""Work for workers that comes to grief, in that it hangs or holds too much memory; a cluster, and a block to mosaic."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 import geomosaic as gm
 
@@ -63,6 +71,43 @@ def _seen(marker: str) -> bool:
     there = Path(marker).exists()
     Path(marker).touch()
     return there
+
+
+@contextmanager
+def cluster(
+    folder: Path, workers: int = 2, nannies: bool = True
+) -> Iterator[tuple[Any, list[subprocess.Popen[bytes]]]]:
+    """Client of a Dask cluster on this machine, and the processes of its scheduler and workers or their nannies."""
+    distributed = pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
+        "DASK_TEMPORARY_DIRECTORY": str(folder),
+    }
+    address = folder / "scheduler.json"
+
+    def started(*words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:], "--no-dashboard"]
+        with (folder / "log.txt").open("ab") as log:
+            return subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=folder)
+
+    file = ["--scheduler-file", str(address)]
+    running = [started("dask_scheduler", *file, "--host", "127.0.0.1", "--port", "0")]
+    try:
+        for _ in range(workers):
+            nanny = "--nanny" if nannies else "--no-nanny"
+            running.append(started("dask_worker", *file, "--nthreads", "1", nanny, "--memory-limit", "4GiB"))
+        with distributed.Client(scheduler_file=str(address), set_as_default=False, timeout=30) as client:
+            client.wait_for_workers(workers, timeout=60)
+            yield client, running
+    finally:
+        for process in reversed(running):
+            process.terminate()
+        for process in reversed(running):
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(5)
+            process.kill()
+            process.wait()
 
 
 def small_block(folder: Path, strips: int, each: int) -> gm.Block:
