@@ -93,7 +93,8 @@ def run(
         _refuse_foreign(job, wanted, manifest)
         states: list[State] = []
         taken: list[dict[Path, str]] = []
-        for step in (each.settled() for each in wanted):  # one by one: earlier ones decide
+        for each in wanted:  # one by one: earlier ones decide
+            step = each.settled()
             stop.check()
             state = _state(job, step, manifest, hashes, {})
             forced = force and (not only or step.name in only)
@@ -109,6 +110,8 @@ def run(
                 except BaseException:
                     _disclaim(job, manifest)
                     raise
+                step = each.settled()  # with the outputs that only now are known
+                _claim_made(job, step, manifest)
                 record = _record(job, step, parts, facts, time.perf_counter() - started, hashes)
                 manifest.records[step.name] = record
                 manifest.save()
@@ -156,6 +159,11 @@ def _claim(job: Job, step: Step, manifest: Manifest) -> None:
     # Saved before the step writes: what a run that was killed has left half made is still ours to replace.
     manifest.owned.update(map(job.name, step.outputs))
     manifest.save()
+
+
+def _claim_made(job: Job, step: Step, manifest: Manifest) -> None:
+    """Outputs that a run has found to be its own."""
+    manifest.owned.update(map(job.name, step.outputs))
 
 
 def _disclaim(job: Job, manifest: Manifest) -> None:

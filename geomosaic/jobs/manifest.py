@@ -78,13 +78,26 @@ class Layout:
 
     @property
     def mosaic(self) -> Path:
-        """Raster of the mosaic."""
-        return self.project.output / f"{self.project.name}.tif"
+        """Raster of the mosaic: a file, or a virtual raster over tiles."""
+        return self.project.output / f"{self.project.name}{self._ending}"
+
+    @property
+    def _ending(self) -> str:
+        return ".tif" if self.project.options.records.tiling is None else ".vrt"
+
+    @property
+    def tiles(self) -> tuple[Path, ...]:
+        """Files of the tiles that the mosaic was last written as, with those of their labels."""
+        try:
+            names = read_json(self.facts("mosaic")).get("tiles", ())
+            return tuple(self.project.output / name for name in names)
+        except (OSError, ValueError, AttributeError, TypeError):
+            return ()
 
     @property
     def labels(self) -> Path:
         """Raster of source images."""
-        return companion(self.mosaic, "-labels", ".tif")
+        return companion(self.mosaic, "-labels", self._ending)
 
     @property
     def views(self) -> Path:

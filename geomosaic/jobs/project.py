@@ -35,6 +35,7 @@ from geomosaic.options.naming import keys_in_errors
 from geomosaic.options.render import RenderOptions
 from geomosaic.project.load import Project, load_project
 from geomosaic.project.sample_block import copy_sample
+from geomosaic.raster.files import companion
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import capabilities
 from geomosaic.stores.path import to_path
@@ -92,7 +93,8 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     wants_views = (*((layout.views,) if options.records.views else ()), *((layout.displacement,) if relief else ()))
     accuracy = (layout.accuracy,) if options.uncertainty.accuracy else ()
     beside = (*wants_labels, *wants_views, *accuracy, layout.vectors)
-    rasters = (layout.mosaic, *beside, *(() if nowhere else (layout.item,)))
+    index = () if options.records.tiling is None else (companion(layout.mosaic, "", ".gti.gpkg"),)
+    rasters = (layout.mosaic, *index, *beside, *(() if nowhere else (layout.item,)))
     every_ortho = layout.orthos if settings.output.orthos else ()
     every_ortho += layout.ortho_accuracies if every_ortho and accuracy else ()
     of_errors = paths_of(options.uncertainty)
@@ -128,6 +130,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
             {**orientation, **place, **blend},
             (*images, *ground, *layout.surface, *master, *drawn, *masks, *frame, *layout.models),
             (*rasters, layout.facts("mosaic"), layout.places),
+            made=lambda: layout.tiles,
         ),
     ]
     if every_ortho:

@@ -90,6 +90,8 @@ class Step:
         Files the result depends on, by content.
     outputs : tuple of Path
         Files the step writes.
+    made : callable
+        Returns further outputs, of which only a run has told which there are, as the last one found.
     without : callable
         Returns those inputs and outputs that there are not this time, as earlier steps found.
     """
@@ -100,12 +102,14 @@ class Step:
     inputs: tuple[Path, ...] = ()
     outputs: tuple[Path, ...] = ()
     without: Callable[[], frozenset[Path]] = frozenset
+    made: Callable[[], tuple[Path, ...]] = tuple
 
     def settled(self) -> Step:
         """Step with the inputs and outputs that there are, once the steps before it have run."""
         absent = self.without()
-        inputs, outputs = (tuple(path for path in paths if path not in absent) for paths in (self.inputs, self.outputs))
-        return replace(self, inputs=inputs, outputs=outputs) if absent else self
+        every = (self.inputs, (*self.outputs, *self.made()))
+        inputs, outputs = (tuple(path for path in dict.fromkeys(paths) if path not in absent) for paths in every)
+        return replace(self, inputs=inputs, outputs=outputs)
 
     @property
     def code(self) -> str:

@@ -100,6 +100,13 @@ class MosaicResult(RasterProduct):
     placement_file: Path | None = None
     accuracy: AccuracyRaster | None = None
     tiles: tuple[Path, ...] = ()
+
+    @property
+    def tile_files(self) -> tuple[Path, ...]:
+        """Files of the tiles and of their labels."""
+        labels = () if self.labels is None else tuple(path.with_name(f"{path.stem}-labels.tif") for path in self.tiles)
+        return (*self.tiles, *labels)
+
     run: RunReport | None = None
 
 

@@ -426,7 +426,7 @@ class RecordOptions(CheckedOptions, stage="records", section="mosaic"):
     )
     tiling: TileSize | None = option(
         None, "Write a grid of files of about this size, with a VRT, a tile index and a STAC collection.",
-        metavar="16384px|10km", parse=TileSize.parse, section=None,
+        metavar="16384px|10km", parse=TileSize.parse,
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from geomosaic.jobs.step import KEYS_OF_IMAGES, Context, Machine, plugin_version
 from geomosaic.jobs.steps.orient import restore_block
 from geomosaic.mosaicking.colour.corrections import colour_facts, correction_picture
 from geomosaic.mosaicking.colour.solve import keeping_calibration
+from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.mosaicking.result_cache import EarlierRun
 from geomosaic.options.declaration import paths_of, stage_values
 from geomosaic.options.mosaic import MosaicOptions
@@ -66,6 +67,8 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
         block = with_common_bands(_block(project, options), options)
         options = keeping_calibration(options, block.scenes)
         earlier_run = _earlier_run(project, options, context)
+        if context.forced and options.records.tiling is not None:
+            shutil.rmtree(MosaicFiles.of(layout.mosaic, options).state, ignore_errors=True)
         grid, outlines = plan_mosaic(
             block.scenes, block.surface, project.area, _remembered(earlier_run, options.render)
         )
@@ -122,6 +125,7 @@ def mosaic(project: Project, machine: Machine, context: Context) -> Mapping[str,
             )
         ],
         "seconds": result.seconds,
+        "tiles": [relative_path(path, project.output) for path in result.tile_files],
         "reused": result.reused,
         "units": result.units,
         "recalled": list(result.from_cache),
