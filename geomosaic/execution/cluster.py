@@ -62,6 +62,8 @@ class Cluster:
             raise
         self._held: dict[str, Any] = {}
         self._begun: dict[str, _Task] = {}
+        # Workers that hang and that nobody could start anew: they get no more tasks.
+        self.hung: set[str] = set()
         self.answered = time.monotonic()
 
     def _check_workers(self, memory: int) -> None:
@@ -93,7 +95,8 @@ class Cluster:
         while len(self._held) > _HELD:
             del self._held[next(iter(self._held))]
         key = f"{work.name}-{os.urandom(8).hex()}"
-        future = self._client.submit(_run_task, work.key, data, items, key=key, pure=False)
+        others = [each for each in self._client.nthreads() if each not in self.hung] if self.hung else None
+        future = self._client.submit(_run_task, work.key, data, items, key=key, pure=False, workers=others)
         task = self._begun[key] = _Task(self, self._client, future, patience)
         return task
 
@@ -179,9 +182,12 @@ class _Task:
 
     def _restart_worker(self) -> None:
         """Restart the worker that has the task, where a nanny watches over it."""
-        with suppress(Exception):  # without one it keeps hanging, and others do its work
+        busy: list[str] = []
+        try:
             busy = [worker for worker, keys in self._client.processing().items() if self.future.key in keys]
             self._client.restart_workers(busy, timeout=SCHEDULER_TIMEOUT, raise_for_error=False)
+        except Exception:  # without one it keeps hanging, and others do its work
+            self._cluster.hung.update(busy)
 
     def cancel(self) -> None:
         """Drop it."""
