@@ -15,7 +15,7 @@ from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import GREAT, limits, near, whole_turn
 from geomosaic.geo.transform import Transform
 from geomosaic.sensor.plugin import HasRays, SensorModel
-from geomosaic.sensor.solve import image_to_ground
+from geomosaic.sensor.solve import image_to_ground, image_to_height
 from geomosaic.surface.model import Plane, Surface
 from geomosaic.types import FloatArray
 
@@ -445,17 +445,46 @@ def _no_ground(scene: OrientedImage, surface: Surface | None, crs: CRS) -> Input
             hint="check the CRS of the image, and the size, rotation and corner in its world file or geotransform",
         )
     origin = _origin(scene)
-    if origin is not None:
-        camera = Transform(scene.model.crs, surface.crs)(origin)[0]
-        ground = surface.height(camera[None, :2])[0]
-        if ground >= camera[2]:
-            return InputError(
-                f"the camera lies below the ground: at {camera[2]:.1f} m, where the ground is at {ground:.1f} m",
-                where=where,
-                hint="check the heights of the positions and of the ground: units (feet for metres) and columns",
-            )
+    if origin is None:
+        return _no_ground_of_scene(scene, surface)
+    camera = Transform(scene.model.crs, surface.crs)(origin)[0]
+    ground = surface.height(camera[None, :2])[0]
+    if ground >= camera[2]:
+        return InputError(
+            f"the camera lies below the ground: at {camera[2]:.1f} m, where the ground is at {ground:.1f} m",
+            where=where,
+            hint="check the heights of the positions and of the ground: units (feet for metres) and columns",
+        )
     return InputError(
         "the middle of the image sees no ground: it looks at the sky, or past the edge of the DEM",
         where=where,
         hint="check the angle system and unit (a roll turned by 180°, radians for degrees) and the DEM's extent",
+    )
+
+
+def _no_ground_of_scene(scene: OrientedImage, surface: Surface) -> InputError:
+    """Error of an image without projection centre, as of radar or RPCs, whose middle the surface has no height under."""
+    model, height = scene.model, 0.5 * sum(surface.range)
+    middle = np.array([[model.size[0] / 2, model.size[1] / 2]])
+    place = image_to_height(model, middle, height, surface.crs)[0]
+    if not np.isfinite(place).all():
+        return InputError(
+            f"the middle of the image sees no ground at {height:.0f} m, the middle height of the terrain: it looks at "
+            "the sky, or past the horizon",
+            where=scene.name,
+            hint="check that orientation and metadata are of this image, and the heights and the place of the DEM",
+        )
+    grid: Grid | None = getattr(surface, "grid", None)  # of a DEM
+    at = f"x {place[0]:.8g}, y {place[1]:.8g} ({horizontal(surface.crs).name})"
+    if grid is not None and _within(grid, place):
+        return InputError(
+            f"the middle of the image shows a hole of the DEM: there is no height at {at}",
+            where=scene.name,
+            hint="fill the hole (for example with gdal_fillnodata), or leave the image out",
+        )
+    return InputError(
+        f"the image lies outside the DEM: its middle shows {at}{_reach(grid)}",
+        where=scene.name,
+        hint="give a DEM that covers the image, or check that the metadata (for radar: orbit, times, ranges and the "
+        "side it looks to) are of this image",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import geomosaic as gm
 from geomosaic.errors import InputError
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic_sar.build import build_sar
+from geomosaic_sar.entry_point import INPUTS
 from geomosaic_sar.model import SarModel
 from geomosaic_sar.sentinel1_calibration import read_calibration_bytes, read_noise_bytes
 
@@ -204,8 +206,8 @@ def test_a_table_gives_any_quantity_by_number_or_by_column(tmp_path):
 def test_missing_and_damaged_calibrations_are_refused_by_the_name_of_their_file(tmp_path):
     for number, (file, text, message) in enumerate(
         [
-            ("calibration", "", "cannot be read"),
-            ("noise", "", "cannot be read"),
+            ("calibration", "", "the calibration of the product cannot be read"),
+            ("noise", "", "the thermal noise of the product cannot be read"),
             ("calibration", calibration(LINES, PIXELS, TABLES, "VH"), "polarisation VH, the scene is VV"),
             ("calibration", calibration(LINES[::-1], PIXELS, TABLES), "do not grow"),
             ("calibration", calibration(LINES, PIXELS, {**TABLES, "sigmaNought": 0 * NOISE}), "not above 0"),
@@ -221,6 +223,10 @@ def test_missing_and_damaged_calibrations_are_refused_by_the_name_of_their_file(
         assert message in caught.value.what
         assert f"{file}-a-vv.xml" in caught.value.where
         assert caught.value.hint
+        # What a hint names is an input of the sensor.
+        named = set(re.findall(r"(\w+) = ", caught.value.hint))
+        assert named <= {one.name for one in INPUTS}
+        assert not ("cannot be read" in message or "everywhere" in message) or named
     with pytest.raises(InputError, match="would do nothing"):
         _model(image, noise_removal=True)
     with pytest.raises(InputError, match="calibration = 'sigma' is not known"):

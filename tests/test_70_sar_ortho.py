@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from sar_rig import Scene
 
 import geomosaic as gm
 from geomosaic.cli.main import run
-from geomosaic.errors import GeomosaicError
+from geomosaic.errors import GeomosaicError, InputError
 
 SCENE = Scene()
 CRS, PIXEL = "EPSG:32602", 12.0
@@ -101,6 +102,27 @@ def test_a_dem_of_another_place_is_refused(folder):
     x, y = _place()
     with pytest.raises(GeomosaicError):
         _ortho(folder, "places", bounds=(x + 90_000.0, y, x + 91_000.0, y + 1000.0))
+
+
+def test_a_scene_of_another_place_is_refused_with_where_it_lies_and_where_the_dem_lies(folder):
+    """As one that looks to the other side; ground without heights under its middle is a hole."""
+    (folder / "away.tif").write_bytes((folder / "speckle.tif").read_bytes())
+    SCENE.left().write(folder, "away")
+    lon, lat = SCENE.left().middle(300.0)
+    x, y = Transformer.from_crs(4326, CRS, always_xy=True).transform(lon, lat)
+    with pytest.raises(InputError, match="outside the DEM") as caught:
+        _ortho(folder, "away")
+    told = [float(word) for word in re.findall(r"shows x (\S+), y (\S+) \(", caught.value.what)[0]]
+    assert told == pytest.approx([x, y], abs=500.0)
+    assert "the DEM reaches over x" in caught.value.what
+    assert "side it looks to" in caught.value.hint
+    with rasterio.open(folder / "dem.tif") as file:
+        heights, profile = file.read(1), file.profile
+    heights[:, 5:] = -9999
+    with rasterio.open(folder / "hole.tif", "w", **{**profile, "nodata": -9999}) as file:
+        file.write(heights, 1)
+    with pytest.raises(InputError, match="shows a hole of the DEM"):
+        _ortho(folder, "places", dem=folder / "hole.tif")
 
 
 def test_a_project_corrects_the_scene_by_control_and_names_the_blunder(folder):

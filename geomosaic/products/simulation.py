@@ -9,7 +9,7 @@ import numpy as np
 
 from geomosaic.control.points import ControlPoints, Origin, mean_sigmas
 from geomosaic.errors import InputError, counted
-from geomosaic.geo.crs import crs_code
+from geomosaic.geo.crs import crs_code, horizontal
 from geomosaic.geo.grid import Window
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
@@ -55,7 +55,7 @@ class SimulationMatch:
             f"{self.image}: {counted(len(self.control), 'control point')}; the scene lies {self.shift[0]:+.2f} columns "
             f"and {self.shift[1]:+.2f} rows from where its orbit puts it "
             f"(± {self.sigma[0]:.2f}, {self.sigma[1]:.2f})\n"
-            f"coordinates are in '{self.control.crs.name}' ({crs_code(self.control.crs)})"
+            f"coordinates are in {crs_code(horizontal(self.control.crs))}, heights in the vertical datum of the DEM"
         )
 
     def write(self, path: PathLike) -> Path:
@@ -113,7 +113,7 @@ def match_simulation(
         raise InputError(
             "level ground has no slopes to be recognised", where="`dem`", hint="give a DEM with its relief"
         )
-    with Source(one.path) as source:
+    with Source(one.path, nodata=one.nodata, bands=one.bands, usable=one.usable, clouds=one.clouds) as source:
 
         def read(region: Window) -> tuple[FloatArray, BoolArray]:
             values, valid = source.read(region)
@@ -122,13 +122,7 @@ def match_simulation(
             return amplitude, seen & (amplitude > 0.0)
 
         matched = matched_control(one.model, surface, read, tile, reach)
-    if len(matched.ground) < LEAST:
-        raise InputError(
-            f"{counted(len(matched.ground), 'window')} of the scene look like their simulation, and {LEAST} are needed",
-            where=str(one.path),
-            hint="look whether DEM, scene and metadata are of one place; flat land shows nothing, and a scene that "
-            "lies farther off takes a larger `reach`",
-        )
+    _require_windows(matched, tile, reach, str(one.path))
     weights = np.linalg.inv(matched.covariance)
     whole = np.linalg.inv(weights.sum(axis=0))
     shift = whole @ np.einsum("nij,nj->i", weights, matched.shifts)
@@ -142,3 +136,26 @@ def match_simulation(
         covariance=matched.covariance,
     )  # fmt: skip
     return SimulationMatch(Path(one.path).name, control, matched, shift, np.sqrt(factor * np.diag(whole)))
+
+
+def _require_windows(matched: SimulatedControl, tile: int, reach: int, where: str) -> None:
+    """Check that enough windows were found."""
+    if matched.windows < LEAST:
+        raise InputError(
+            f"the scene has room for {counted(matched.windows, 'window')} of {tile} pixels that may be shifted by "
+            f"{reach}, and {LEAST} are needed",
+            where=where, hint="take a smaller `tile`, or a smaller `reach`",
+        )  # fmt: skip
+    if not matched.covered:
+        raise InputError(
+            "the DEM has no ground where the orbit puts the scene", where=where,
+            hint="give a DEM that covers the scene, or check that the metadata (orbit, times, ranges and the side it "
+            "looks to) are of this image",
+        )  # fmt: skip
+    if len(matched.ground) < LEAST:
+        raise InputError(
+            f"{counted(len(matched.ground), 'window')} of the scene look like their simulation, and {LEAST} are needed",
+            where=where,
+            hint="look whether DEM, scene and metadata are of one place; flat land shows nothing, and a scene that "
+            "lies farther off takes a larger `reach`",
+        )

@@ -320,7 +320,7 @@ class _Nodes:
     def range_step(self, part: Window) -> FloatArray:
         """Metres of slant range from one column to the next, at the pixels of a part."""
         rows, cols = np.arange(part.row + 0.5, part.stop_row), np.arange(part.col + 0.5, part.stop_col)
-        return _bilinear(self.steps[None], (self.rows, self.cols), rows, cols)[0]
+        return np.asarray(_bilinear(self.steps[None], (self.rows, self.cols), rows, cols)[0])
 
 
 def _spread(

@@ -45,6 +45,10 @@ class SimulatedControl:
     shifts : array (N, 2)
         From the place that the model gives, pixels.
     correlation : array (N,)
+    windows : int
+        Windows for which the scene has room.
+    covered : int
+        Those of them that show ground of the surface.
     """
 
     ground: FloatArray
@@ -52,6 +56,8 @@ class SimulatedControl:
     covariance: FloatArray
     shifts: FloatArray
     correlation: FloatArray
+    windows: int
+    covered: int
 
 
 def matched_control(
@@ -77,9 +83,13 @@ def matched_control(
     kept = []
     margin = reach + 2
     area = IlluminatedArea(model, surface)
-    for region in _windows(model.size, tile, margin):
+    regions, covered = list(_windows(model.size, tile, margin)), 0
+    for region in regions:
         power = area.summed(region)
         lit = np.isfinite(power)
+        if not lit.any():
+            continue
+        covered += 1
         amplitude, valid = read(region)
         expected, shown = _evened(np.where(lit, power, 0.0)), _evened(amplitude.astype(np.float64) ** 2)
         found = shifts(expected, shown, np.asarray(valid & lit), tile, reach, LEAST_CORRELATION)
@@ -94,7 +104,13 @@ def matched_control(
     covariances = np.array([one[2] for one in kept]).reshape(-1, 2, 2)
     # In layover the middle of a window shows several places; whichever it is, the model and the scene put it there.
     ground = Transform(surface.crs, model.crs)(image_to_ground(model, middles, surface)) if kept else np.zeros((0, 3))
-    return SimulatedControl(ground, middles + moved, covariances, moved, np.array([one[3] for one in kept]))
+    correlation = np.array([one[3] for one in kept])
+    # A window reaches over the edge of a DEM that its middle lies beyond.
+    known = np.isfinite(ground).all(axis=1)
+    return SimulatedControl(
+        ground[known], (middles + moved)[known], covariances[known], moved[known], correlation[known], len(regions),
+        covered,
+    )  # fmt: skip
 
 
 def _windows(size: tuple[int, int], tile: int, margin: int) -> Iterator[Window]:

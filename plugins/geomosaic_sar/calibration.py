@@ -104,7 +104,7 @@ class PixelTable:
         if len(self.rows) == 1:
             return np.asarray(lines)
         out = np.empty((len(rows), len(cols)), dtype=np.float32)
-        ends = np.searchsorted(row, np.arange(row[0], row[-1] + 2)) if len(rows) else []
+        ends = np.searchsorted(row, np.arange(row[0], row[-1] + 2)).tolist() if len(rows) else list[int]()
         for number, (first, stop) in enumerate(pairwise(ends)):
             part = lower[first:stop, None].astype(np.float32)
             np.multiply(part, lines[number + 1] - lines[number], out=out[first:stop])

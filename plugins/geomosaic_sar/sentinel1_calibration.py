@@ -56,21 +56,24 @@ def read_calibration(annotation: Path, polarisation: str, kind: str, *, denoised
         A file is missing, damaged, or of another scene.
     """
     files = calibration_files(annotation)
-    tables = read_calibration_bytes(_content(files[0]), str(files[0]), kind, polarisation)
-    noise = read_noise_bytes(_content(files[1]), str(files[1]), polarisation) if denoised else None
-    return SarCalibration(kind, tables, noise)
+    content = _content(files[0], "calibration", "give calibration = 'none'")
+    tables = read_calibration_bytes(content, str(files[0]), kind, polarisation)
+    if not denoised:
+        return SarCalibration(kind, tables)
+    content = _content(files[1], "thermal noise", "give noise_removal = false")
+    return SarCalibration(kind, tables, read_noise_bytes(content, str(files[1]), polarisation))
 
 
-def _content(file: Path) -> bytes:
+def _content(file: Path, what: str, without: str) -> bytes:
     try:
         if file.stat().st_size > _LARGEST:
-            raise InputError("the file is too large to be a calibration", where=str(file), hint=AGAIN)
+            raise InputError(f"the file is too large to hold the {what} of a product", where=str(file), hint=AGAIN)
         return file.read_bytes()
     except OSError as error:
         raise InputError(
-            f"the calibration of the product cannot be read ({error.strerror or error})", where=str(file),
+            f"the {what} of the product cannot be read ({error.strerror or error})", where=str(file),
             hint="keep the folders of the product together (annotation/calibration beside annotation/NAME.xml), or "
-            "give calibration = 'none'",
+            + without,
         ) from error  # fmt: skip
 
 
@@ -120,7 +123,7 @@ def read_noise_bytes(data: bytes, where: str, polarisation: str | None = None) -
         if not (profiles.values > 0.0).any():
             raise InputError(
                 "the noise of this product is 0 everywhere: the processor had not yet measured it", where=where,
-                hint="give noise = false",
+                hint="give noise_removal = false",
             )  # fmt: skip
         return ThermalNoise(profiles, tuple(blocks))
 

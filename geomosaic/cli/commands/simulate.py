@@ -41,10 +41,11 @@ def command(
     \b
     Example:
       geomosaic simulate scene.tif --sensor sar --dem dem.tif --dem-heights egm96 -o control.csv
-      geomosaic ortho scene.tif --sensor sar --gcps control.csv --dem dem.tif --dem-heights egm96 -o ortho.tif
+      geomosaic ortho scene.tif --sensor sar --gcps control.csv --exterior-crs EPSG:32632 --heights egm96 \\
+        --dem dem.tif --dem-heights egm96 -o ortho.tif
 
     Windows of the scene are compared with what the slopes of the DEM should look like there. The table has the ground
-    of the DEM, places in the scene and their covariances.
+    of the DEM, in its CRS and its vertical datum, places in the scene and their covariances.
     """
     from geomosaic.products.simulation import match_simulation
     from geomosaic.raster.files import check_output
