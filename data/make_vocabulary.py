@@ -8,6 +8,7 @@ versions of NumPy and OpenCV give the same words. Photos of other ground and sca
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import cv2
@@ -18,8 +19,10 @@ from geomosaic.geo.grid import Window
 from geomosaic.matching.features import Features, detect_by_tiles
 from geomosaic.matching.overlaps import VOCABULARY, nearest_words
 from geomosaic.testing.synthetic import CAMERA, AnalyticGround, FlightPlan, synthetic_block
-from geomosaic.testing.synthetic.scenery import Look, Scenery, photograph
 from geomosaic.types import ByteArray, Float32Array
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "rigs"))
+from scenery import Look, Scenery, photograph
 
 # Words, descriptors that they are made of, rounds of k-means.
 WORDS, SAMPLE, ROUNDS = 64, 20_000, 12

@@ -463,7 +463,7 @@ def _no_ground(scene: OrientedImage, surface: Surface | None, crs: CRS) -> Input
 
 
 def _no_ground_of_scene(scene: OrientedImage, surface: Surface) -> InputError:
-    """Error of an image without projection centre, as of radar or RPCs, whose middle the surface has no height under."""
+    """Error of an image without projection centre (radar, RPCs) whose middle shows no ground of the surface."""
     model, height = scene.model, 0.5 * sum(surface.range)
     middle = np.array([[model.size[0] / 2, model.size[1] / 2]])
     place = image_to_height(model, middle, height, surface.crs)[0]

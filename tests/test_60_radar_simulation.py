@@ -137,9 +137,7 @@ def test_the_declared_band_is_matched_and_no_other(small: tuple[gm.Scene, Downs]
     assert f"EPSG:{land.zone}, heights in the vertical datum of the DEM" in alone.summary
 
 
-def test_control_has_ground_where_the_dem_ends_within_the_scene(
-    small: tuple[gm.Scene, Downs], tmp_path: Path
-) -> None:
+def test_control_has_ground_where_the_dem_ends_within_the_scene(small: tuple[gm.Scene, Downs], tmp_path: Path) -> None:
     given, _ = small
     with rasterio.open(given.dem) as file:
         heights, profile = file.read(1), file.profile
