@@ -82,7 +82,7 @@ class Cluster:
                 raise WorkerError(
                     f"the worker has {limit >> 20} MB of memory, and units may need {memory >> 20} MB",
                     where=worker,
-                    hint="give a smaller `memory_limit` (--mem-limit), or workers with more memory",
+                    hint="give a smaller `memory_limit`, or workers with more memory",
                 )
 
     def begin(self, work: Work, items: Sequence[Any], patience: float) -> _Task:
