@@ -88,8 +88,8 @@ def least_glint(
     import shapely
 
     met: dict[int, list[int]] = {}
-    bodies = np.array(list(water), dtype=object)  # of objects where there are none, too
-    for body, i in shapely.STRtree(list(outlines)).query(bodies, predicate="intersects").T.tolist():
+    polygons = np.array(list(water), dtype=object)  # of objects where there are none, too
+    for body, i in shapely.STRtree(list(outlines)).query(polygons, predicate="intersects").T.tolist():
         met.setdefault(i, []).append(body)
     glints = partial(_glints, ThumbnailOfImage(photos, comparison_grid(photos, CELLS)), tuple(water), tuple(colours))
     seen: list[list[tuple[float, float, int]]] = [[] for _ in water]
@@ -191,8 +191,8 @@ def water_bodies(
     import shapely
 
     met: list[list[int]] = [[] for _ in water]
-    bodies = np.array(list(water), dtype=object)  # of objects where there are none, too
-    for body, i in shapely.STRtree(list(outlines)).query(bodies, predicate="intersects").T.tolist():
+    polygons = np.array(list(water), dtype=object)  # of objects where there are none, too
+    for body, i in shapely.STRtree(list(outlines)).query(polygons, predicate="intersects").T.tolist():
         met[body].append(i)
     toned = partial(_toned, photos, comparison_grid(photos, CELLS), tuple(colours))
     items = [(piece, sorted(images)) for piece, images in zip(water, met, strict=True)]
