@@ -15,9 +15,7 @@ from sar_rig import Scene
 import geomosaic as gm
 from geomosaic.cli.main import run
 from geomosaic.errors import InputError
-from geomosaic.geo.grid import Window
 from geomosaic.inputs.build import build_block
-from geomosaic.render.radar_simulation import matched_control
 
 MOVED = np.array([20.0, 12.0])
 
@@ -131,31 +129,10 @@ def test_the_declared_band_is_matched_and_no_other(small: tuple[gm.Scene, Downs]
     ) as file:  # fmt: skip
         file.write(np.stack([noise, amplitude]))
     land.scene.write(tmp_path, "scene")
-    second = gm.match_simulation(replace(given, images=(tmp_path / "scene.tif",), bands="2"), tile=64)
+    second = gm.match_simulation(replace(given, images=(tmp_path / "scene.tif",), bands=[2]), tile=64)
     alone = gm.match_simulation(given, tile=64)
     assert np.array_equal(second.shift, alone.shift)
     assert f"EPSG:{land.zone}, heights in the vertical datum of the DEM" in alone.summary
-
-
-def test_control_has_ground_where_the_dem_ends_within_the_scene(small: tuple[gm.Scene, Downs], tmp_path: Path) -> None:
-    given, _ = small
-    with rasterio.open(given.dem) as file:
-        heights, profile = file.read(1), file.profile
-    heights[:, : heights.shape[1] // 2 + 4] = -9999
-    with rasterio.open(tmp_path / "dem.tif", "w", **{**profile, "nodata": -9999}) as file:
-        file.write(heights, 1)
-    block = build_block(replace(given, dem=tmp_path / "dem.tif"))
-    model, surface = block.scenes[0].model, block.surface
-    with rasterio.open(given.images[0]) as file:
-        amplitude = file.read(1)
-
-    def read(window: Window) -> tuple[np.ndarray, np.ndarray]:
-        part = amplitude[window.row : window.stop_row, window.col : window.stop_col]
-        return part, part > 0.0
-
-    found = matched_control(model, surface, read, 64, 32)
-    assert 0 < len(found.ground) < found.covered < found.windows
-    assert np.isfinite(found.ground).all()
 
 
 def test_a_scene_too_small_for_its_windows_and_a_dem_elsewhere_are_told(
