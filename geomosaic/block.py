@@ -472,7 +472,8 @@ def _no_ground_of_scene(scene: OrientedImage, surface: Surface) -> InputError:
             f"the middle of the image sees no ground at {height:.0f} m, the middle height of the terrain: it looks at "
             "the sky, or past the horizon",
             where=scene.name,
-            hint="check that orientation and metadata are of this image, and the heights and the place of the DEM",
+            hint="check the angle system and unit (a roll turned by 180°, radians for degrees), that the metadata are "
+            "of this image, and the heights and the place of the DEM",
         )
     grid: Grid | None = getattr(surface, "grid", None)  # of a DEM
     at = f"x {place[0]:.8g}, y {place[1]:.8g} ({horizontal(surface.crs).name})"
