@@ -146,3 +146,19 @@ def test_a_scene_too_small_for_its_windows_and_a_dem_elsewhere_are_told(
     land.scene.left().write(tmp_path, "scene")
     with pytest.raises(InputError, match="no ground where the orbit puts the scene"):
         gm.match_simulation(replace(given, images=(tmp_path / "scene.tif",)), tile=64)
+
+
+def test_windows_beyond_the_edge_of_the_dem_are_left_out(small: tuple[gm.Scene, Downs], tmp_path: Path) -> None:
+    given, _ = small
+    assert isinstance(given.dem, Path)
+    with rasterio.open(given.dem) as file:
+        width = int(0.6 * file.width)
+        east = file.bounds.left + width * file.res[0]
+        with rasterio.open(tmp_path / "dem.tif", "w", **{**file.profile, "width": width}) as part:
+            part.write(file.read(1)[:, :width], 1)
+    whole = gm.match_simulation(given, tile=48)
+    found = gm.match_simulation(replace(given, dem=tmp_path / "dem.tif"), tile=48)
+    assert 4 <= len(found.control) < len(whole.control)
+    assert np.isfinite(found.control.ground).all()
+    assert (found.control.ground[:, 0] < east).all()
+    assert (np.abs(found.shift - MOVED) < 3.0 * found.sigma).all()

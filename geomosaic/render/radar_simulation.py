@@ -105,7 +105,7 @@ def matched_control(
     # In layover the middle of a window shows several places; whichever it is, the model and the scene put it there.
     ground = Transform(surface.crs, model.crs)(image_to_ground(model, middles, surface)) if kept else np.zeros((0, 3))
     correlation = np.array([one[3] for one in kept])
-    # A window reaches over the edge of a DEM that its middle lies beyond.
+    # No place may be found for a middle in a fold of layover.
     known = np.isfinite(ground).all(axis=1)
     return SimulatedControl(
         ground[known], (middles + moved)[known], covariances[known], moved[known], correlation[known], len(regions),
