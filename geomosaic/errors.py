@@ -23,6 +23,7 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from types import FrameType
 
 # Characters of a word quoted in a message and of a whole message, of which the rest says nothing more.
@@ -149,6 +150,9 @@ class GeomosaicWarning(UserWarning):
     """Something the user should know; the work goes on."""
 
 
+_collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
+
+
 def warn(text: str) -> None:
     """Warning of what the user should know, at the line outside the program that led to it.
 
@@ -156,11 +160,32 @@ def warn(text: str) -> None:
     ----------
     text : str
     """
+    collected = _collected.get()
+    if collected is not None:
+        collected.append(text)
+        return
     level = 1
     frame: FrameType | None = sys._getframe()
     while frame is not None and frame.f_globals.get("__name__", "").startswith("geomosaic"):
         level, frame = level + 1, frame.f_back
     warnings.warn(text, GeomosaicWarning, stacklevel=level)
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """Texts of the warnings that `warn` is given within, in this context alone; none of them is shown.
+
+    Yields
+    ------
+    list of str
+        Grows.
+    """
+    texts: list[str] = []
+    before = _collected.set(texts)
+    try:
+        yield texts
+    finally:
+        _collected.reset(before)
 
 
 @contextmanager

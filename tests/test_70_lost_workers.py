@@ -21,7 +21,7 @@ import worker_rig
 from worker_rig import cluster, small_block
 
 import geomosaic as gm
-from geomosaic.errors import RasterReadError, WorkerError, WorkersUnreachableError
+from geomosaic.errors import GeomosaicWarning, RasterReadError, WorkerError, WorkersUnreachableError, warn
 from geomosaic.execution import run_report
 from geomosaic.execution.unit_times import LEAST_PATIENCE, PATIENCE, UnitTimes
 from geomosaic.execution.units import map_units, workers_for
@@ -106,6 +106,8 @@ def test_workers_are_opened_once_for_all_that_a_run_does() -> None:
         with closing(map_units(worker_rig.slow_square, range(300), options)) as left:
             next(left)
         assert [value for _, value in map_units(float, range(100), options)] == list(range(100))
+        with pytest.warns(GeomosaicWarning, match="of a unit"):
+            list(map_units(warn, ["of a unit"], options))
         assert run.units >= 5 + 300 + 1 + 100
         assert len(run.workers) <= 2
     assert not processes()

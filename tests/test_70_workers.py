@@ -14,7 +14,7 @@ import pytest
 from cli_rig import PHOTOS
 
 import geomosaic as gm
-from geomosaic.errors import InputError, SensorInputError, WorkerError
+from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, WorkerError, warn
 from geomosaic.execution import packing
 from geomosaic.execution.units import map_units
 from geomosaic.execution.units_on_workers import RETRIES
@@ -126,6 +126,14 @@ def test_a_unit_that_kills_every_process_is_named_after_its_trials(retries, monk
 def test_a_unit_that_kills_every_worker_of_a_cluster_is_named(client) -> None:
     with pytest.raises(WorkerError, match="lost every time"):
         list(map_units(signal.raise_signal, [HARMLESS, DEADLY], RenderOptions(workers=client)))
+
+
+def test_warnings_of_units_are_given_here_once_each(client) -> None:
+    with ThreadPoolExecutor(1) as executor:
+        for workers in (client, executor):
+            with pytest.warns(GeomosaicWarning) as caught:
+                list(map_units(warn, ["one", "two", "one"], RenderOptions(workers=workers)))
+            assert [str(each.message) for each in caught] == ["one", "two"]
 
 
 class Counting(Executor):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from geomosaic.errors import collected_warnings
 from geomosaic.execution.packing import function_of, pack_into
 from geomosaic.raster.environment import environment
 from geomosaic.stores.traffic import NO_TRAFFIC, Traffic, traffic
@@ -78,6 +79,8 @@ class Answer:
         Seconds of the longest unit.
     usage : Usage
         Of the process meanwhile, each second and byte counted in one answer.
+    warnings : list of str
+        What its units had the user told, in their order.
     """
 
     results: list[Any]
@@ -86,6 +89,7 @@ class Answer:
     seconds: float
     longest: float
     usage: Usage
+    warnings: list[str]
 
 
 def run_task(key: str, data: bytes | None, items: Sequence[Any]) -> bytes | None:
@@ -109,7 +113,7 @@ def run_task(key: str, data: bytes | None, items: Sequence[Any]) -> bytes | None
     results, ends = io.BytesIO(), list[int]()
     error: Exception | None = None
     seconds = longest = 0.0
-    with _shared_usage:
+    with _shared_usage, collected_warnings() as warnings:
         try:
             function = function_of(key, data)
             if function is None:
@@ -128,7 +132,7 @@ def run_task(key: str, data: bytes | None, items: Sequence[Any]) -> bytes | None
     start = ends[-1] if ends else 0  # what a unit left that failed on the way is written over
     results.seek(start)
     results.truncate()
-    results.write(pickle.dumps((ends, error, worker, seconds, longest, used), protocol=5))
+    results.write(pickle.dumps((ends, error, worker, seconds, longest, used, warnings), protocol=5))
     results.write(start.to_bytes(_LENGTH, "little"))
     return results.getvalue()
 

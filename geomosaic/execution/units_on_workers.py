@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, TypeVar
 
-from geomosaic.errors import GeomosaicError, RasterReadError, WorkerError
+from geomosaic.errors import GeomosaicError, RasterReadError, WorkerError, warn
 from geomosaic.execution.task import answer_of
 from geomosaic.execution.unit_times import UnitTimes
 from geomosaic.execution.work import Pending, UnitsLostError, Work
@@ -67,6 +67,7 @@ class _Units:
     def __init__(self, run: Run, work: Work) -> None:
         self._workers, self._report, self._work = run.workers, run.report, work
         self._times = UnitTimes()
+        self._told: set[str] = set()
         self.slots = self._workers.slots
 
     def next_size(self, left: int | None) -> int:
@@ -90,6 +91,10 @@ class _Units:
             return [], [self._again(item, begun.trials, error) for item in items]
         answer = answer_of(data)
         self._report.add(self._work.name, answer, len(data))
+        for text in answer.warnings:
+            if text not in self._told:
+                self._told.add(text)
+                warn(text)
         self._times.add(len(answer.results), answer.seconds, answer.longest, len(data))
         done, rest = list(zip(items, answer.results, strict=False)), items[len(answer.results) :]
         if answer.error is None:  # it ended early

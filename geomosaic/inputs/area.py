@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -12,7 +11,7 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.block import Footprint, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
@@ -193,10 +192,8 @@ def note_scattered(grid: Grid, outlines: Sequence[Footprint]) -> None:
         return
     middle = np.median([outline.centre for outline in outlines[:-1] or outlines], axis=0)
     far = max(outlines, key=lambda outline: float(np.hypot(*(np.array(outline.centre) - middle))))
-    warnings.warn(
+    warn(
         f"the images share no ground and cover {100 * area / ((right - left) * (top - bottom)):.1g} % of the mosaic: "
         f"'{far.name}' lies {float(np.hypot(*(np.array(far.centre) - middle))):.6g} map units from the others; "
-        "check its CRS and geotransform, or give `bounds`",
-        GeomosaicWarning,
-        stacklevel=3,
+        "check its CRS and geotransform, or give `bounds`"
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from geomosaic.control.coordinate_diagnostics import Diagnostic, misplaced
 from geomosaic.control.diagnostics import contradictions
 from geomosaic.control.points import ControlPoints, Origin, mean_sigmas, possible_covariances
 from geomosaic.control.table import FLAGS
-from geomosaic.errors import GeomosaicWarning, InputError, counted, did_you_mean, listed
+from geomosaic.errors import InputError, counted, did_you_mean, listed, warn
 from geomosaic.inputs.images import Photo
 from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
 from geomosaic.inputs.tie_points import covariances_of
@@ -143,11 +142,7 @@ def control_and_others(
         )
     if ground and not points:
         other = table.rows[0].text("image")
-        warnings.warn(
-            f"{path}: no point is measured in an image of the block; the table has others, such as '{other}'",
-            GeomosaicWarning,
-            stacklevel=2,
-        )
+        warn(f"{path}: no point is measured in an image of the block; the table has others, such as '{other}'")
     return tuple(points), others
 
 
@@ -421,7 +416,7 @@ def _rows(table: Table, names: dict[str, str]) -> list[tuple[Row, str]]:
         )
     if others:
         text = f"{counted(sum(others.values()), 'row')} of {images_not_of_the_block(others, names)}"
-        warnings.warn(f"{table.path}: {text}", GeomosaicWarning, stacklevel=3)
+        warn(f"{table.path}: {text}")
     return found
 
 
@@ -497,7 +492,7 @@ def check_control(points: Sequence[ControlPoint], crs: CRS, path: Path | None, p
             if policy != "keep":
                 hint = f"{finding.hint}; or `insist`, to go on all the same"
                 raise InputError(what, where=at, hint=hint)
-            warnings.warn(f"{at}: {what}; {finding.hint}", GeomosaicWarning, stacklevel=3)
+            warn(f"{at}: {what}; {finding.hint}")
 
 
 def image_control(points: Sequence[ControlPoint], crs: CRS, where: str) -> ControlPoints:

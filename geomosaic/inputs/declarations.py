@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from geomosaic.control.points import ControlPoints
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import InputError, did_you_mean, warn
 from geomosaic.inputs.exterior_orientation import Exterior, ExteriorTable, exterior_values
 from geomosaic.inputs.tables import file_of_image
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
@@ -433,7 +432,7 @@ def leave_out(images: Sequence[Path], roles: Mapping[str, Path | None]) -> tuple
         role = others.get(image.resolve())
         if role is not None:
             text = f"{image.name} is the file of {role}: it is left out of the images"
-            warnings.warn(text, GeomosaicWarning, stacklevel=3)
+            warn(text)
     return kept
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
@@ -16,7 +15,7 @@ from typing import SupportsFloat
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import InputError, did_you_mean, warn
 from geomosaic.geo.crs import parse_crs
 from geomosaic.inputs.tables import Row, Table, find_by_name, missing_row, read_table, stem
 from geomosaic.types import FloatArray, PathLike
@@ -484,7 +483,7 @@ def check_units(table: ExteriorTable, unit: str | None, crs: CRS | None = None) 
     if text is None:
         return
     if unit is not None:
-        warnings.warn(f"{table.path}: declared as '{unit}', but {text}", GeomosaicWarning, stacklevel=2)
+        warn(f"{table.path}: declared as '{unit}', but {text}")
         return
     raise InputError(text, where=table.path, hint="declare the unit, whichever it is: `angle_unit`")
 

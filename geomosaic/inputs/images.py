@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.block import OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
+from geomosaic.errors import InputError, counted, listed, warn
 from geomosaic.geo.crs import horizontal, is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import whole_turn
@@ -168,11 +167,9 @@ def with_usable(inputs: Block, scenes: Sequence[OrientedImage]) -> tuple[Oriente
         found.append(replace(scene, usable=ring) if ring is not None else scene)
     bare = [scene.name for scene in found if scene.usable is None]
     if inputs.fiducials is not None and bare:
-        warnings.warn(
+        warn(
             f"fiducial marks, instruments and borders of the film would appear in the output ({listed(bare, 3)}): "
-            "leave them out with `margin` in pixels, or polygons in `usable`",
-            GeomosaicWarning,
-            stacklevel=2,
+            "leave them out with `margin` in pixels, or polygons in `usable`"
         )
     return tuple(found)
 
@@ -313,10 +310,8 @@ def check_placed(info: SourceInfo, given: CRS | None = None) -> CRS:
             hint="give the CRS of the map that they belong to as `src_crs`, or exchange x and y",
         )
     if crs.is_projected and small and float(np.max(grid.resolution)) < _TINY:
-        warnings.warn(
+        warn(
             f"{info.path}: the coordinates ({place}) look like degrees, and the CRS '{crs.name}' counts in "
-            f"{crs.axis_info[0].unit_name}; if they are degrees, give `src_crs=EPSG:4326`",
-            GeomosaicWarning,
-            stacklevel=2,
+            f"{crs.axis_info[0].unit_name}; if they are degrees, give `src_crs=EPSG:4326`"
         )
     return crs

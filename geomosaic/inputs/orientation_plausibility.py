@@ -18,7 +18,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedImage
-from geomosaic.errors import GeomosaicError, GeomosaicWarning, InputError
+from geomosaic.errors import GeomosaicError, InputError, warn
 from geomosaic.execution.units import map_in_order
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
@@ -120,11 +120,9 @@ def check_ground_height(inputs: Block, photos: Sequence[Photo], crs: CRS, surfac
         return
     above, start = np.median(both, axis=0)
     if not abs(above - start) <= _UNLIKELY_RELIEF * abs(start):
-        warnings.warn(
+        warn(
             f"doubtful: ground at {inputs.height:g} m is {above:.1f} m below the photos, which say {start:.1f} m above "
-            f"take-off; a `height` of {inputs.height + above - start:.1f} would agree",
-            GeomosaicWarning,
-            stacklevel=2,
+            f"take-off; a `height` of {inputs.height + above - start:.1f} would agree"
         )
 
 

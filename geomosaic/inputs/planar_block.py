@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted, listed
+from geomosaic.errors import InputError, SolveError, counted, listed, warn
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.inputs.control_points import check_control, read_block
 from geomosaic.inputs.declarations import Block, file_of
@@ -207,11 +206,9 @@ def place(block: PlanarBlock, wanted: PlanarInputs, tables: str = "tie and contr
                 f"largest gap {one.largest:.1f} px"
                 for one in worst
             )
-            warnings.warn(
+            warn(
                 f"{len(worst)} of {counted(len(grown.joins), 'join')} do not meet: "
-                f"{listed(named, 3, '; ')}: measure more control there",
-                GeomosaicWarning,
-                stacklevel=2,
+                f"{listed(named, 3, '; ')}: measure more control there"
             )
         together = None
         with suppress(SolveError):
@@ -252,11 +249,7 @@ def _uncontrolled(block: PlanarBlock, model: str, wanted: PlanarInputs, found: B
     made = chain(block, model, scale=wanted.scale, azimuth=wanted.azimuth)
     for one in made.attachments:
         if one.refused:
-            warnings.warn(
-                f"{one.photo} is joined by a conformal transformation, not the {model} one: {one.refused}",
-                GeomosaicWarning,
-                stacklevel=2,
-            )
+            warn(f"{one.photo} is joined by a conformal transformation, not the {model} one: {one.refused}")
     adjusted, against = reference(block, made, model)
     error = compare(block, made, adjusted.transforms, against, adjusted.kind)
     return Placed(made.transforms, chain_facts(block, made, model, error) | gross_error_facts(found))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import date, datetime
 
 from geomosaic.block import Footprint, OrientedBlock, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean, listed
+from geomosaic.errors import InputError, did_you_mean, listed, warn
 from geomosaic.options.mosaic import MosaicOptions, RuleOptions
 from geomosaic.raster.band_names import is_panchromatic, plain_bands
 from geomosaic.raster.image_metadata import acquisition_digits, recorded_cloud_cover
@@ -296,10 +295,7 @@ def with_panchromatic(block: OrientedBlock, infos: Sequence[SourceInfo], options
             hint="leave it out, or give `panchromatic=mix`",
         )
     where = "where no image of several bands shows the ground" if rule.panchromatic == "fill" else "like the others"
-    warnings.warn(
-        f"{listed(single, 5)}: one band beside images of {most}, shown in all bands alike, {where}", GeomosaicWarning,
-        stacklevel=2,
-    )  # fmt: skip
+    warn(f"{listed(single, 5)}: one band beside images of {most}, shown in all bands alike, {where}")
     scenes = tuple(
         replace(scene, bands=(scene.bands or (plain_bands(info)[0],)) * most) if info.bands == 1 else scene
         for scene, info in zip(block.scenes, infos, strict=True)

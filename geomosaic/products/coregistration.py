@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from affine import Affine
 
 from geomosaic.block import OrientedImage, footprint
-from geomosaic.errors import GeomosaicWarning, SolveError
+from geomosaic.errors import SolveError, warn
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.units import linear_unit
 from geomosaic.inputs.area import plan
@@ -126,17 +125,13 @@ def coregister(image: PathLike, reference: PathLike, output: PathLike, **options
     predicted = scene.model.ground_to_image(match.xyz)
     found = displacement(predicted, match.colrow, scene.model.size, requested.model)
     if found.kind == "none":
-        warnings.warn(
-            f"the image lies on its reference already: {len(match)} places show no displacement, and it stays as it is",
-            GeomosaicWarning,
-            stacklevel=2,
+        warn(
+            f"the image lies on its reference already: {len(match)} places show no displacement, and it stays as it is"
         )
     elif KINDS.index(found.kind) < KINDS.index(requested.model):
-        warnings.warn(
+        warn(
             f"{_WORDS[found.kind]} is used instead of {_WORDS[requested.model]}, which predicts places left out of the "
-            "fit no better",
-            GeomosaicWarning,
-            stacklevel=2,
+            "fit no better"
         )
     moved = replace(scene, model=_model(scene, own, found))
     area = wanted.area

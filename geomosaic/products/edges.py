@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, SolveError, counted
+from geomosaic.errors import InputError, SolveError, counted, warn
 from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.control_points import check_control, read_control
@@ -105,7 +104,7 @@ def read_common(path: PathLike, images: Sequence[str]) -> tuple[CommonPoint, ...
     if alone:
         some = ", ".join(alone[:4]) + (" and more" if len(alone) > 4 else "")
         what = f"{path}: {counted(len(alone), 'point')} in one of these photos only, left out: {some}"
-        warnings.warn(what, GeomosaicWarning, stacklevel=2)
+        warn(what)
     return tuple(point for point in points if seen[point.id] > 1)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pyproj import CRS
 
 from geomosaic.block import OrientedBlock, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.execution.units import workers_for
 from geomosaic.geo.crs import horizontal, parse_map
 from geomosaic.geo.grid import Bounds, Grid
@@ -394,14 +393,12 @@ def _reproject_rasters(
         source = check_placed(info, own)
         # Warnings point to the caller of `reproject`, two calls up.
         if "palette" in info.colors and render.resampling == "nearest":
-            warnings.warn(
-                "the numbers of the palette are kept, its colours are not carried over", GeomosaicWarning, stacklevel=3
-            )
+            warn("the numbers of the palette are kept, its colours are not carried over")
         if own is None and info.crs is not None and (suspicious := crs_defect(info.crs)):
             if not operation_between(horizontal(info.crs), horizontal(target)).possible:
                 what, _, hint = suspicious.partition("; ")
                 raise InputError(f"{what}; no operation leads from it to '{target.name}'", where=info.path, hint=hint)
-            warnings.warn(suspicious, GeomosaicWarning, stacklevel=3)
+            warn(suspicious)
         placed: dict[str, Any] = {}
         if src_crs is not None and info.transform is not None:
             placed["transform"] = list(info.transform[:6])

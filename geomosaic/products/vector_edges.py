@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError, counted
+from geomosaic.errors import InputError, counted, warn
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.options.declaration import compose
@@ -364,10 +363,10 @@ def _write(
             rest = {key: value for key, value in columns.items() if key not in ("x", "y")}
             append_layer(unfinished, geopandas.GeoDataFrame(rest, geometry=points, crs=crs), name, "GPKG")
     if turned:
-        warnings.warn(
+        warn(
             f"{output}: {counted(turned, 'segment')} shorter than the correction along them turned back: give a larger "
-            "`reach`, or a smaller `tolerance`", GeomosaicWarning, stacklevel=3,
-        )  # fmt: skip
+            "`reach`, or a smaller `tolerance`"
+        )
     found, groups, places = met
     off = [0.0]
     for place, members in zip(places, groups, strict=True):

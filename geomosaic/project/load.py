@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean, listed
+from geomosaic.errors import InputError, did_you_mean, listed, warn
 from geomosaic.inputs.declarations import Block, leave_out
 from geomosaic.inputs.summary import known_capabilities
 from geomosaic.options.adjustment import AdjustmentOptions
@@ -385,11 +384,11 @@ def _images_among(pattern: str, matches: list[Path], others: Collection[Path]) -
         text = (
             f"'{pattern}' matches {listed(known, 3)}, which the project names for another use: left out of the images"
         )
-        warnings.warn(text, GeomosaicWarning, stacklevel=3)
+        warn(text)
     if rasters and unknown:
         names = listed((file.name for file in unknown), 3)
         text = f"'{pattern}' matches {names}, which cannot be read as a raster: left out of the images"
-        warnings.warn(text, GeomosaicWarning, stacklevel=3)
+        warn(text)
     return rasters or matches
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.raster.files import check_output
 from geomosaic.raster.vector import append_layer, layer_names, plain_tables, read_layer, read_table
 from geomosaic.whole_files import partial, put_in_place, remove
@@ -115,7 +114,7 @@ def rewrite_layers(
     if tables and driver not in _SEVERAL:
         notes.append(f"tables without places are left out: {', '.join(tables)}")
     for text in dict.fromkeys(notes):
-        warnings.warn(f"{output}: {text}", GeomosaicWarning, stacklevel=3)
+        warn(f"{output}: {text}")
     return layers
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.transform import Transform
@@ -147,4 +146,4 @@ def note_elsewhere(path: Path, shapes: Sequence[Any], grid: Grid, *, must_meet: 
     what, hint = "nothing in this file reaches the mosaic", "check its CRS; is it the file of another block?"
     if must_meet:
         raise InputError(what, where=str(path), hint=hint)
-    warnings.warn(f"{path}: {what}; {hint}", GeomosaicWarning, stacklevel=3)
+    warn(f"{path}: {what}; {hint}")

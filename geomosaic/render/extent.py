@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -13,7 +12,7 @@ from affine import Affine
 from pyproj import CRS
 
 from geomosaic.block import Footprint, OrientedImage, footprint
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.execution.units import map_units
 from geomosaic.geo.crs import crs_name, geographic, horizontal, longitude_latitude_crs
 from geomosaic.geo.engineering_crs import image_frame_crs
@@ -194,11 +193,7 @@ def _within_the_map(crs: CRS, bounds: Bounds, resolution: float) -> Bounds:
         reach = f"latitudes {shown.south:g} to {shown.north:g}"
         if shown.reach < 180.0 and shown.centre is not None:
             reach = f"{shown.reach:g} degrees on either side of longitude {shown.centre:g}"
-        warnings.warn(
-            f"the output ends where {crs.name} has no use ({reach}); `bounds` takes it further",
-            GeomosaicWarning,
-            stacklevel=3,
-        )
+        warn(f"the output ends where {crs.name} has no use ({reach}); `bounds` takes it further")
     return left, bottom, right, top
 
 
@@ -216,11 +211,9 @@ def note_far_crs(crs: CRS, outlines: list[Footprint]) -> None:
     used = area_of_use(crs)
     if used is not None and (beyond(longitude_latitude(ring, crs), used) > FAR).any():
         west, south, east, north = used
-        warnings.warn(
+        warn(
             f"the images lie far outside the area that {crs.name} is made for (longitude {west:g} to {east:g}, "
-            f"latitude {south:g} to {north:g}): lengths and areas are distorted there",
-            GeomosaicWarning,
-            stacklevel=3,
+            f"latitude {south:g} to {north:g}): lengths and areas are distorted there"
         )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from geomosaic.block import Footprint, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError, listed
+from geomosaic.errors import InputError, listed, warn
 from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
@@ -191,11 +190,9 @@ class GeometryRecord:
     def judge(self, tolerance: float) -> None:
         """Warning where the tolerance could not be kept: at the walls of a surface model, on a coarse grid."""
         if self.error > tolerance > 0:
-            warnings.warn(
+            warn(
                 f"the geometry is interpolated within {self.error:.3f} px, not {tolerance} px, where the relief is "
-                "steepest, a map ends, or neighbouring pixels of the image do not show neighbouring ground",
-                GeomosaicWarning,
-                stacklevel=3,
+                "steepest, a map ends, or neighbouring pixels of the image do not show neighbouring ground"
             )
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from geomosaic.enhancement.picture import HILLSHADE, enhance_keys
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.options.check import build, check_idle
 from geomosaic.options.declaration import compose
 from geomosaic.options.sheet import SheetOptions, parse_scale
@@ -121,9 +120,7 @@ def _describes(raster: Path, entries: Any, name: str, size: str, where: Path) ->
         return False
     if raster.stat().st_size in sizes:
         return True
-    warnings.warn(
-        f"{where} describes another {raster.name} (its size differs): not used", GeomosaicWarning, stacklevel=3
-    )
+    warn(f"{where} describes another {raster.name} (its size differs): not used")
     return False
 
 
@@ -201,7 +198,7 @@ def read_style(name: str, base: Path, where: str | None = None) -> Style:
         path = base / name
         style, remarks = foreign_style(read_text(path, "style", 32 << 20), str(path))
         for remark in remarks:
-            warnings.warn(f"{path}: not understood: {remark}", GeomosaicWarning, stacklevel=2)
+            warn(f"{path}: not understood: {remark}")
         return style
     if name.lower().endswith(".toml"):
         file = base / name

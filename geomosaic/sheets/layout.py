@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from geomosaic.enhancement.picture import EnhancePart
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.geo.local_frames import MapPlace
 from geomosaic.geo.magnetic_declination import FIRST, LAST, NAME, WEAKEST, decimal_year, magnetic_field
 from geomosaic.options.check import check_idle, parse_color
@@ -262,11 +261,9 @@ def declination(part: NorthPart, place: MapPlace | None) -> Declination | None:
         )
     field = magnetic_field(place.longitude, place.latitude, 0.0, year)
     if field.horizontal < WEAKEST:
-        warnings.warn(
+        warn(
             f"no magnetic north is drawn: near the magnetic pole ({field.horizontal:.0f} nT along the ground) a "
-            "compass does not point",
-            GeomosaicWarning,
-            stacklevel=2,
+            "compass does not point"
         )
         return None
     return Declination(field.declination, part.magnetic_date, field.annual_change, field.sigma)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from geomosaic.enhancement.picture import band_curves, finishing, local_equalisation, shown_bands
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.geo.crs import geographic, height_name, horizontal, is_local, parse_crs
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.geo.local_frames import map_place
@@ -181,7 +181,7 @@ def make_sheet(
             stage(2, 3, "drawing")
             elements, remarks = write_sheet(output, parts, pixels, dpi, inputs.files, overwrite=overwrite)
     for text in remarks:
-        warnings.warn(text, GeomosaicWarning, stacklevel=2)
+        warn(text)
     intervals = tuple(None if grid_ is None else grid_.interval for grid_ in parts.grids)
     return SheetResult(
         output, page, (intervals[0], intervals[1]), len(parts.contours), parts.interval,
@@ -220,7 +220,7 @@ def _sheet_parts(inputs: SheetInputs, layout: Layout, page: Page) -> SheetParts:
     layers = tuple(read_overlay(vector, page, k) for k, vector in enumerate(inputs.layers))
     measured = layout.notes.accuracy or accuracy_statement(report, page.scale)
     if not measured and {"orient", "check"} & set(report):
-        warnings.warn("the report measured no accuracy, so the sheet states none", GeomosaicWarning, stacklevel=2)
+        warn("the report measured no accuracy, so the sheet states none")
     texts = tuple(blocks(layout, page, place, relief.datum, report))
     return SheetParts(
         page,
@@ -287,7 +287,7 @@ def _warn_of_dem_gaps(surface: Dem, places: FloatArray, dem: Path) -> None:
     """Warning where contours end because the DEM does."""
     known = float(np.isfinite(surface.height(places)).mean())
     if known < 0.98:
-        warnings.warn(f"{dem} has heights on {100 * known:.0f} % of the sheet", GeomosaicWarning, stacklevel=3)
+        warn(f"{dem} has heights on {100 * known:.0f} % of the sheet")
 
 
 def _snapped_to_extremum(surface: Dem, spot: SpotHeight, reach: float) -> SpotHeight:
@@ -323,11 +323,9 @@ def _warn_of_cropping(page: Page, whole: Bounds) -> None:
     """Warning that the paper shows a part of the raster only, though no bounds were given."""
     shown = [(page.bounds[k + 2] - page.bounds[k]) / (whole[k + 2] - whole[k]) for k in (0, 1)]
     if min(shown) < 1.0 - 1e-6:
-        warnings.warn(
+        warn(
             f"at {scale_text(page.scale)} the paper shows {min(shown[0], 1.0):.0%} of the picture's width and "
-            f"{min(shown[1], 1.0):.0%} of its height; a smaller scale or a larger paper shows all",
-            GeomosaicWarning,
-            stacklevel=3,
+            f"{min(shown[1], 1.0):.0%} of its height; a smaller scale or a larger paper shows all"
         )
 
 
@@ -347,11 +345,9 @@ def warn_of_small_map(page: Page, layout: Layout, grid: Grid) -> None:
     )  # fmt: skip
     if page.scale >= _SMALL * filling.scale:
         left, bottom, right, top = page.neatline
-        warnings.warn(
+        warn(
             f"at {scale_text(page.scale)} the map is {right - left:.0f} x {top - bottom:.0f} mm on {paper}; "
-            f"`scale={scale_text(filling.scale)}` fills the paper",
-            GeomosaicWarning,
-            stacklevel=3,
+            f"`scale={scale_text(filling.scale)}` fills the paper"
         )
 
 
@@ -368,6 +364,6 @@ def _warn_of_glyphs(parts: SheetParts) -> None:
     lost = missing_glyphs(texts)
     if lost:
         text = f"the font has no glyph for: {' '.join(lost[:40])} (give one that has: [sheet] fonts)"
-        warnings.warn(text, GeomosaicWarning, stacklevel=2)
+        warn(text)
         # Matplotlib would warn again for every text.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")

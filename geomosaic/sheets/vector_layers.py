@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import shapely
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import InputError, did_you_mean, warn
 from geomosaic.geo.crs import horizontal, is_local, parse_crs
 from geomosaic.geo.grid import Bounds
 from geomosaic.geo.transform import Transform
@@ -368,7 +367,7 @@ def read_overlay(vector: VectorInput, page: Page, number: int) -> Overlay:
     if vector.title and vector.title != made.title:
         made = replace(made, title=vector.title)
     for note in made.notes:
-        warnings.warn(f"{where}: {note}", GeomosaicWarning, stacklevel=2)
+        warn(f"{where}: {note}")
     return made
 
 
@@ -378,9 +377,5 @@ def _first_layer(path: Path) -> str | None:
     # GPX has each track a second time, as its points.
     others = [name for name in full[1:] if name not in ("track_points", "route_points")]
     if others:
-        warnings.warn(
-            f"{path}: layer '{full[0]}' is drawn; name one with FILE#LAYER for {', '.join(others)}",
-            GeomosaicWarning,
-            stacklevel=3,
-        )
+        warn(f"{path}: layer '{full[0]}' is drawn; name one with FILE#LAYER for {', '.join(others)}")
     return full[0] if full else None

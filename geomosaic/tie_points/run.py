@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from geomosaic.block_adjustment.start import StartBlock, places_of, start_block
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.execution.units import workers_for
 from geomosaic.inputs.declarations import Block, block_of, on_ground
 from geomosaic.inputs.tie_points import TiePoints
@@ -150,7 +149,7 @@ def _matched(start: StartBlock, options: TiePointOptions, progress: Progress) ->
     result = _result(start, found, refined, chosen)
     # Of images of which no two are tied, who needs ties makes an error (`nothing_in_common`).
     for finding in diagnostics(result.tied, result.features) if len(result.ties) else ():
-        warnings.warn(str(finding), GeomosaicWarning, stacklevel=4)
+        warn(str(finding))
     return result
 
 

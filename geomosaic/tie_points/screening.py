@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import shapely
 
 from geomosaic.block_adjustment.start import StartBlock
-from geomosaic.errors import GeomosaicWarning, InputError, counted, listed
+from geomosaic.errors import InputError, counted, listed, warn
 from geomosaic.geo.transform import Transform
 from geomosaic.matching.features import Features
 from geomosaic.matching.fixed_features import stationary
@@ -104,7 +103,7 @@ def area_test(start: StartBlock, areas: Path) -> Callable[[int, FloatArray], Boo
     bare = [name for name, oriented in zip(start.names, start.oriented.tolist(), strict=True) if not oriented]
     if bare:
         text = f"{counted(len(bare), 'image')} without an orientation, in which no area is left out: {listed(bare, 6)}"
-        warnings.warn(text, GeomosaicWarning, stacklevel=4)
+        warn(text)
 
     def in_areas(image: int, colrow: FloatArray) -> BoolArray:
         if not start.oriented[image] or not len(colrow):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +13,7 @@ import numpy as np
 
 from geomosaic.accuracy.check_points import ControlResidual, control_residuals, rms
 from geomosaic.block import OrientedBlock, OrientedImage
-from geomosaic.errors import GeomosaicWarning, InputError
+from geomosaic.errors import InputError, warn
 from geomosaic.geo.crs import is_local
 from geomosaic.inputs.adjusted import AdjustedImage, adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.build import build_block, join_blocks, refuse_unknown_inputs, refuse_unused_ground
@@ -97,7 +96,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
             write_exterior(layout.exterior, found.adjusted[0], found.parts[0][1].crs)
         off = [points for part in found.parts if found.solved is None for points in control_discrepancies(*part)]
         for points in off:
-            warnings.warn(points.text, GeomosaicWarning, stacklevel=2)
+            warn(points.text)
     adjusted = _adjustment_facts(found, exports)
     facts = {
         **_input_facts(found.parts),

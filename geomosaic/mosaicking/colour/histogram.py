@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from affine import Affine
 
 from geomosaic.block import OrientedImage, footprint
-from geomosaic.errors import GeomosaicWarning, InputError, counted
+from geomosaic.errors import InputError, counted, warn
 from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import balance_change
@@ -197,11 +196,7 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
         curves, alone = match_overlaps(pieces, target)
     if alone:
         names = ", ".join(photos.block.scenes[i].name for i in alone[:5]) + (" ..." if len(alone) > 5 else "")
-        warnings.warn(
-            f"no overlaps join {names} to the master of the histograms: left as they are",
-            GeomosaicWarning,
-            stacklevel=2,
-        )
+        warn(f"no overlaps join {names} to the master of the histograms: left as they are")
     lines = [curve.line() for curve in curves]
     before, after, pairs = _differences(pieces, curves)
     gain, offset = np.array([line[0] for line in lines]), np.array([line[1] for line in lines])

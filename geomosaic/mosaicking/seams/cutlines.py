@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.errors import GeomosaicWarning, InputError, did_you_mean
+from geomosaic.errors import InputError, did_you_mean, warn
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.transform import Transform
 from geomosaic.mosaicking.seams.voronoi import polygonal
@@ -183,11 +182,9 @@ def warn_of_gaps(path: Path, drawn: Mapping[int, Any], outlines: Sequence[Any]) 
     import shapely
 
     area = shapely.union_all(list(outlines)).difference(shapely.union_all(list(drawn.values()))).area
-    warnings.warn(
+    warn(
         f"{path}: the areas of all images leave {area:.4g} square map units of what they show to no one; the program's "
-        f"own seams divide that. {_HINT}",
-        GeomosaicWarning,
-        stacklevel=4,
+        f"own seams divide that. {_HINT}"
     )
 
 
@@ -204,8 +201,4 @@ def _warn_of_overlaps(drawn: Mapping[int, Any], names: Sequence[str], where: str
             a, b = names[numbers[i]], names[numbers[j]]
             overlaps.append(f"'{a}' and '{b}' overlap by {part.area:.4g} square map units, which '{a}' shows")
     if overlaps:
-        warnings.warn(
-            f"{where}: the areas of {'; '.join(overlaps[:5])}{' ...' if len(overlaps) > 5 else ''}. {_HINT}",
-            GeomosaicWarning,
-            stacklevel=3,
-        )
+        warn(f"{where}: the areas of {'; '.join(overlaps[:5])}{' ...' if len(overlaps) > 5 else ''}. {_HINT}")

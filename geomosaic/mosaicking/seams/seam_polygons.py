@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from geomosaic.errors import GeomosaicWarning
+from geomosaic.errors import warn
 from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.window_index import WindowIndex
@@ -346,11 +345,9 @@ def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
         elif not shown:
             empty.append(photos.outlines[i].name)
     if empty:
-        warnings.warn(
+        warn(
             f"{', '.join(empty[:5])}{' ...' if len(empty) > 5 else ''}: every pixel is marked as missing; "
-            "others fill the place",
-            GeomosaicWarning,
-            stacklevel=2,
+            "others fill the place"
         )
     return shapes
 

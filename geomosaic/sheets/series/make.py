@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from pyproj import CRS
 
 import geomosaic
 from geomosaic.digests import digest_of, sha256
-from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
+from geomosaic.errors import InputError, OutputExistsError, collected_warnings, warn
 from geomosaic.execution.units import map_units
 from geomosaic.geo.crs import parse_crs
 from geomosaic.geo.grid import Bounds
@@ -262,14 +261,12 @@ def make_series(
     made = []
     # Matplotlib is not made for threads: one sheet after the other, or on workers.
     running = RunningOptions(threads=1, workers=wanted.workers, **UNLIMITED if isinstance(wanted.workers, int) else {})
-    for done, (task, remarks) in enumerate(map_units(_draw, tasks, running) if tasks else (), 1):
+    for done, (task, _) in enumerate(map_units(_draw, tasks, running) if tasks else (), 1):
         entry = record["sheets"][task.path.name]
         entry["sha256"] = sha256(task.path)
         entry.pop("was", None)
         _write_record(folder, record)
         made.append(folder / task.path.name)
-        for text in remarks:
-            warnings.warn(f"{task.place.name}: {text}", GeomosaicWarning, stacklevel=2)
         if progress is not None:
             progress(done, len(tasks), "sheets")
     order += _earlier_sheets(record, scheme, grid.crs, overlap, folder, suffix, names)
@@ -306,19 +303,15 @@ def _all(scheme: Scheme, crs: CRS, bounds: Bounds) -> list[str]:
 def _tell_differences(scheme: Scheme, name: str, crs: CRS, scale: float | None) -> None:
     """Warnings that the sheets have another CRS or scale than the scheme, as the raster or the layout asks for."""
     if scale and scheme.scale and scale != scheme.scale:
-        warnings.warn(
+        warn(
             f"the sheets are drawn at {scale_text(scale)}, as [map] scale of the layout has it, not at "
-            f"{scale_text(scheme.scale)}",
-            GeomosaicWarning,
-            stacklevel=3,
+            f"{scale_text(scheme.scale)}"
         )
     wanted = scheme.map_crs(name)
     if wanted is not None and parse_crs(wanted) != crs:
-        warnings.warn(
+        warn(
             f"the sheets are drawn in the raster's CRS ({crs.name}); {scheme.title} has {wanted}: reproject the raster "
-            "first to have that",
-            GeomosaicWarning,
-            stacklevel=3,
+            "first to have that"
         )
 
 
@@ -329,13 +322,13 @@ def _anywhere(inputs: SheetInputs) -> SheetInputs:
     return replace(inputs, raster=inputs.raster.absolute(), layers=layers, dem=dem, shade=shade)
 
 
-def _draw(task: _Task) -> list[str]:
-    """Draw one sheet; returns what is to be remarks."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+def _draw(task: _Task) -> None:
+    """Draw one sheet; its warnings get its name."""
+    with collected_warnings() as texts:
         # What stood there was looked at before, and a worker that is lost may have drawn the sheet already.
         make_sheet(task.inputs, task.path, series=task.place, overwrite=True)
-    return [str(w.message) for w in caught if issubclass(w.category, GeomosaicWarning)]
+    for text in texts:
+        warn(f"{task.place.name}: {text}")
 
 
 def _dependency_digests(inputs: SheetInputs, record: dict[str, Any]) -> dict[str, Any]:
