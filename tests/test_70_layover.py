@@ -102,8 +102,11 @@ def test_the_command_says_what_share_is_hidden(place: tuple[Path, Land], capsys:
     assert run([str(word) for word in words]) == 0
     assert "% layover" in capsys.readouterr().out
     assert not (folder / "told-incidence.tif").exists()
-    assert run([str(word) for word in [*words, "--overwrite", "--json"]]) == 0
-    assert 0.0 < json.loads(capsys.readouterr().out)["shares"]["shadow"] < 0.2
+    words.remove("--no-incidence")
+    assert run([str(word) for word in [*words, "--overwrite", "--workers", "1", "--json"]]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert 0.0 < told["shares"]["shadow"] < 0.2
+    assert told["run"]["workers"][0]["units"] == {"classes": 1, "incidence": 1}  # one process does both
 
 
 def test_what_has_no_layover_is_refused(place: tuple[Path, Land], sample: Path) -> None:

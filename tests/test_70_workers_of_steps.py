@@ -130,6 +130,17 @@ def test_tie_points_are_those_of_threads_and_the_client_reads_no_photo(run, tmp_
     assert gm.match(strip, cache=tmp_path / "cache", threads=1, **few).ties.points == here.ties.points
 
 
+def test_maps_of_one_image_tell_the_run_they_were_made_in(run, tmp_path) -> None:
+    for name, how in (("one", {"threads": 1}), ("many", {"workers": WORKERS})):
+        made = gm.reproject(SAMPLE / "dem.tif", tmp_path / f"{name}.tif", dst_crs="EPSG:3857", **how)
+        assert made.run is (run if name == "many" else None)
+    assert (tmp_path / "one.tif").read_bytes() == (tmp_path / "many.tif").read_bytes()
+    given = {"crs": "EPSG:32633", "model": "conformal", "resolution": 4.0, "report": False, "insist": True}
+    photo = SAMPLE / "photos" / PHOTOS[0]
+    placed = gm.georeference(photo, tmp_path / "placed.tif", SAMPLE / "gcps.csv", workers=WORKERS, **given)
+    assert placed.product.run is run
+
+
 # Modules with threads of their own, and why these do not go to workers.
 OWN_THREADS = {
     "execution/units.py": "the one loop",

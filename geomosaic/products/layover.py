@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.execution.units import map_units
+from geomosaic.execution.units import map_units, workers_for
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.build import build_block
@@ -27,6 +27,9 @@ from geomosaic.sensor.plugin import HasSensorPositions
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
+
+if TYPE_CHECKING:
+    from geomosaic.execution.run_report import RunReport
 
 # Options of rendering that would do nothing: no pixel is resampled.
 _IDLE = ("resampling", "tolerance", "true_ortho", "nodata")
@@ -63,6 +66,8 @@ class LayoverMask(RasterProduct):
         Share of the known pixels that is 'layover', 'shadow' and 'foreshortening'.
     known : int
         Pixels.
+    run : RunReport, optional
+        What each worker did; None where threads of the process did everything.
     """
 
     path: Path
@@ -70,6 +75,7 @@ class LayoverMask(RasterProduct):
     incidence: Path | None
     shares: Mapping[str, float]
     known: int
+    run: RunReport | None = None
 
 
 def layover_mask(
@@ -153,22 +159,23 @@ def layover_mask(
         ("1 layover, 2 shadow, 4 foreshortening; sums of them",), categorical=True, tags={"GEOMOSAIC_IMAGES": "1"}
     )
     units = grid.window.split(render.tile, BLOCK_HEIGHT)
-    with RasterSink(target, grid, Samples(1, "uint8", nodata=NODATA), metadata=metadata, **sink) as masks:
-        for done, (window, classes) in enumerate(map_units(terrain.classes, units, render), start=1):
-            hidden = (classes & UNKNOWN) > 0
-            valid = (~hidden).astype(np.uint8)
-            masks.write(window, np.where(hidden, NODATA, classes)[..., None], valid)
-            counts += [np.count_nonzero(classes & bit) for bit in bits.values()]
-            known += int(valid.sum())
-            render.report(done, len(units), "layover")
-        masks.finish()
-    if angles is not None:
-        named = RasterMetadata(("local incidence angle, degrees",))
-        nodata = float("nan")
-        with RasterSink(angles, grid, Samples(1, "float32", nodata=nodata), metadata=named, **sink) as raster:
-            for window, found in map_units(terrain.incidence, units, render):
-                seen = np.isfinite(found)
-                raster.write(window, found.astype(np.float32)[..., None], seen.astype(np.uint8))
-            raster.finish()
+    with workers_for(render) as run:
+        with RasterSink(target, grid, Samples(1, "uint8", nodata=NODATA), metadata=metadata, **sink) as masks:
+            for done, (window, classes) in enumerate(map_units(terrain.classes, units, render), start=1):
+                hidden = (classes & UNKNOWN) > 0
+                valid = (~hidden).astype(np.uint8)
+                masks.write(window, np.where(hidden, NODATA, classes)[..., None], valid)
+                counts += [np.count_nonzero(classes & bit) for bit in bits.values()]
+                known += int(valid.sum())
+                render.report(done, len(units), "layover")
+            masks.finish()
+        if angles is not None:
+            named = RasterMetadata(("local incidence angle, degrees",))
+            nodata = float("nan")
+            with RasterSink(angles, grid, Samples(1, "float32", nodata=nodata), metadata=named, **sink) as raster:
+                for window, found in map_units(terrain.incidence, units, render):
+                    seen = np.isfinite(found)
+                    raster.write(window, found.astype(np.float32)[..., None], seen.astype(np.uint8))
+                raster.finish()
     shares = {name: count / max(1, known) for name, count in zip(bits, counts.tolist(), strict=True)}
-    return LayoverMask(target, grid, angles, shares, known)
+    return LayoverMask(target, grid, angles, shares, known, run)

@@ -86,15 +86,13 @@ def ortho(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's name.
     """
     wanted, area = compose(OrthoOptions, options), Area(dst_crs, resolution, bounds, like=like)
-    with workers_for(wanted.render) as run:
+    with workers_for(wanted.render):
         if isinstance(scene, OrientedBlock):
             refuse_ground(dem, dem_heights)
-            made = ortho_oriented(scene, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
-        else:
-            block = scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),))
-            block = on_ground(block, dem, dem_heights)
-            made = make_ortho(block, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
-    return made if run is None else replace(made, run=run)
+            return ortho_oriented(scene, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
+        block = scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),))
+        block = on_ground(block, dem, dem_heights)
+        return make_ortho(block, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
 
 
 def make_ortho(
@@ -391,7 +389,6 @@ def _reproject_rasters(
             raise InputError("this is a file of vectors: it has no bands", where=str(path), hint="reproject it alone")
         info = inspect(path)
         source = check_placed(info, own)
-        # Warnings point to the caller of `reproject`, two calls up.
         if "palette" in info.colors and render.resampling == "nearest":
             warn("the numbers of the palette are kept, its colours are not carried over")
         if own is None and info.crs is not None and (suspicious := crs_defect(info.crs)):

@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike
 
 from geomosaic.block import Footprint, OrientedImage
 from geomosaic.errors import InputError, listed, warn
-from geomosaic.execution.units import map_units
+from geomosaic.execution.units import map_units, workers_for
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
@@ -290,21 +290,24 @@ def stack(
     record, seen, hidden = GeometryRecord(), 0, 0
     units = tiles(grid, options.tile)
     try:
-        with RasterSink(
-            output,
-            grid,
-            Samples(info.bands, info.dtype, nodata=options.nodata),
-            driver=options.driver,
-            creation=options.creation,
-            overwrite=options.overwrite,
-            threads=options.threads,
-            metadata=RasterMetadata(
-                info.descriptions,
-                tuple(zip(info.scales, info.offsets, info.units, strict=True)),
-                {"GEOMOSAIC_SENSOR": scenes[0].sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
-                overviews=overview_mean(scenes, options.resampling),
-            ),
-        ) as sink:
+        with (
+            workers_for(options) as run,
+            RasterSink(
+                output,
+                grid,
+                Samples(info.bands, info.dtype, nodata=options.nodata),
+                driver=options.driver,
+                creation=options.creation,
+                overwrite=options.overwrite,
+                threads=options.threads,
+                metadata=RasterMetadata(
+                    info.descriptions,
+                    tuple(zip(info.scales, info.offsets, info.units, strict=True)),
+                    {"GEOMOSAIC_SENSOR": scenes[0].sensor, "GEOMOSAIC_LATTICE_TOLERANCE_PX": str(options.tolerance)},
+                    overviews=overview_mean(scenes, options.resampling),
+                ),
+            ) as sink,
+        ):
             running = options if grid.width * grid.height > ALONE else replace(options, threads=1)
             drawn.tiler = sink.tiler
             rendered = map_units(drawn, units, running)
@@ -341,6 +344,7 @@ def stack(
         seconds=seconds,
         notes=notes,
         hidden_pixels=hidden if options.true_ortho else None,
+        run=run,
     )
 
 

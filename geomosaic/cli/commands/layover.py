@@ -58,10 +58,11 @@ def command(
     facts = {
         "output": str(result.path), "incidence": None if result.incidence is None else str(result.incidence),
         "known_pixels": result.known, "shares": dict(result.shares),
+        **({} if result.run is None else {"run": result.run.facts}),
     }  # fmt: skip
     shares = ", ".join(f"{100 * share:.2f} % {name}" for name, share in result.shares.items())
-    text = f"{result.path}: {result.grid.label}\n{shares} of {result.known} pixels"
-    answer(
-        facts, text if result.incidence is None else f"{text}\nlocal incidence angles: {result.incidence.name}", as_json
-    )
+    lines = [f"{result.path}: {result.grid.label}", f"{shares} of {result.known} pixels"]
+    lines += [] if result.incidence is None else [f"local incidence angles: {result.incidence.name}"]
+    lines += [] if result.run is None else [str(result.run)]
+    answer(facts, "\n".join(lines), as_json)
     return 0
