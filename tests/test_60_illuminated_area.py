@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from radar_hills_rig import Facets, Land
+from radar_hills_rig import Land
 from sar_rig import Scene
 from scipy.ndimage import minimum_filter, uniform_filter
 
@@ -40,7 +40,7 @@ class Hill(Land):
         facets = self.facets((860.0, 560.0) if steep else (500.0, 450.0), 2.0 if steep else 1.0)
         sent = facets.size * np.maximum(facets.cosine, 0.0)
         if steep:
-            sent[self._shaded(facets)] = 0.0
+            sent[self.shaded(facets, 1300.0, 10.0)] = 0.0
         row, _ = self._row_length()
         return facets.image(sent, self.scene.size) / (row * self.scene.spacing)
 
@@ -52,18 +52,6 @@ class Hill(Land):
         place = self.scene.image(self.earth(x, y, np.full(3, 200.0)))
         steps = np.linalg.inv((place[1:] - place[0]) / 100.0)
         return float(np.linalg.norm(steps[1])), float(np.linalg.norm(steps[0]))
-
-    def _shaded(self, facets: Facets) -> np.ndarray:
-        """Whether the straight line to the sensor runs through the ground, on a map without curvature."""
-        x, y, h = self.map(facets.earth)
-        line = (facets.sensor - facets.earth) / np.linalg.norm(facets.sensor - facets.earth, axis=1)[:, None]
-        there = np.array(self.map(facets.earth + 1000.0 * line)) - [x, y, h]
-        hidden = np.zeros(len(x), dtype=bool)
-        for step in np.arange(8.0, 1300.0, 10.0) / 1000.0:
-            left = np.flatnonzero(~hidden)
-            at = np.array([x, y, h])[:, left] + step * there[:, left]
-            hidden[left] = self.height(at[0], at[1]) > at[2] + 0.02
-        return hidden
 
 
 def written(folder: Path, top: float) -> tuple[Hill, gm.Scene, np.ndarray]:

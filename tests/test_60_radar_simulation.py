@@ -5,17 +5,20 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import rasterio
-from radar_hills_rig import Land
+from radar_hills_rig import Facets, Land
 from sar_rig import Scene
 
 import geomosaic as gm
 from geomosaic.cli.main import run
 from geomosaic.errors import InputError
+from geomosaic.geo.grid import Window
 from geomosaic.inputs.build import build_block
+from geomosaic.render.illuminated_area import IlluminatedArea
 
 MOVED = np.array([20.0, 12.0])
 
@@ -23,6 +26,8 @@ MOVED = np.array([20.0, 12.0])
 @dataclass(frozen=True)
 class Downs(Land):
     """Hills everywhere, without layover or shadow, and a roughness finer than the DEM."""
+
+    noise: ClassVar[float] = 0.0
 
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return self.coarse(x, y) + 0.6 * np.sin(x / 7.0) * np.sin(y / 9.0)
@@ -36,6 +41,9 @@ class Downs(Land):
             out = out + 0.018 * length * np.sin(2 * np.pi * (u * np.cos(angle) + v * np.sin(angle)) / length + phase)
         return out
 
+    def sent(self, facets: Facets) -> np.ndarray:
+        return facets.size * facets.cosine**2
+
     def speckled(self, seed: int, looks: int) -> np.ndarray:
         """Amplitudes of the scene from facets of 4 m; nothing of the program takes part."""
         half = 5.2 * self.scene.size[0], 6.2 * self.scene.size[1]
@@ -43,13 +51,35 @@ class Downs(Land):
         for low in np.arange(-half[1], half[1], 2000.0):
             facets = self.facets(half, 4.0, (low, min(low + 2000.0, half[1])))
             moved = replace(facets, places=facets.places + MOVED)
-            mean += moved.image(facets.size * facets.cosine**2, self.scene.size)
+            mean += moved.image(self.sent(facets), self.scene.size)
+        mean += self.noise * mean.mean()
         return np.sqrt(mean * np.random.default_rng(seed).gamma(looks, 1.0 / looks, mean.shape))
 
 
-def written(folder: Path, scene: Scene, looks: int) -> tuple[Downs, Path]:
+class Peaks(Downs):
+    """Downs with peaks that have layover and shadow, where the scene shows thermal noise; whole, low amplitudes."""
+
+    noise = 0.05
+
+    def coarse(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        out = super().coarse(x, y)
+        for east, north in ((-500.0, 300.0), (-100.0, -400.0), (500.0, 200.0)):
+            out = out + 330.0 * np.exp(
+                -((x - self.middle[0] - east) ** 2 + (y - self.middle[1] - north) ** 2) / (2 * 110.0**2)
+            )
+        return out
+
+    def sent(self, facets: Facets) -> np.ndarray:
+        return np.where(self.shaded(facets, 440.0, 20.0) | (facets.cosine < 0.0), 0.0, super().sent(facets))
+
+    def speckled(self, seed: int, looks: int) -> np.ndarray:
+        amplitude = super().speckled(seed, looks)
+        return np.round(20.0 * amplitude / np.median(amplitude))
+
+
+def written(folder: Path, scene: Scene, looks: int, kind: type[Downs] = Downs) -> tuple[Downs, Path]:
     """Scene of so many looks, its metadata, and a DEM of nodes every 10 m without the roughness."""
-    land = Downs.of(scene)
+    land = kind.of(scene)
     land.write_dem(folder, 7.0 * max(scene.size) + 400.0)
     amplitude = land.speckled(1, looks).astype(np.float32)
     with rasterio.open(
@@ -91,6 +121,21 @@ def test_a_moved_scene_is_found_within_what_its_speckle_allows(
     ground = np.array([bare.seed])
     change = refined.ground_to_image(ground) - bare.ground_to_image(ground)
     assert np.abs(change - MOVED).max() < 0.5
+
+
+def test_layover_shadow_and_single_zeros_hinder_no_match(tmp_path: Path) -> None:
+    _, path = written(tmp_path, Scene(size=(200, 190)), 1, Peaks)
+    scene = gm.Scene(path, "sar", dem=tmp_path / "dem.tif", dem_heights="ellipsoidal")
+    with rasterio.open(path) as file:
+        assert 1 <= (file.read(1) == 0).sum() < 100
+    block = build_block(scene)
+    area = IlluminatedArea(block.scenes[0].model, block.surface).at(Window(0, 0, 200, 190))
+    assert np.isnan(area).sum() > 300
+    assert np.nanmax(area) > 6.0
+    found = gm.match_simulation(scene, tile=48, reach=24)
+    assert len(found.control) == found.matched.whole == 6
+    assert (found.sigma < 0.5).all()
+    assert (np.abs(found.shift - MOVED) < 2.5 * found.sigma).all()
 
 
 @pytest.mark.slow

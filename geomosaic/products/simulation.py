@@ -117,9 +117,9 @@ def match_simulation(
 
         def read(region: Window) -> tuple[FloatArray, BoolArray]:
             values, valid = source.read(region)
-            amplitude = values[:, :, 0].astype(np.float64)
-            seen = np.ones(amplitude.shape, dtype=np.bool_) if valid is None else valid.astype(np.bool_)
-            return amplitude, seen & (amplitude > 0.0)
+            power = values[:, :, 0].astype(np.float64) ** 2
+            # Beside the swath amplitudes are 0, and within it thermal noise keeps nearly all of them above.
+            return power, (power > 0.0) if valid is None else (power > 0.0) & valid.astype(np.bool_)
 
         matched = matched_control(one.model, surface, read, tile, reach)
     _require_windows(matched, tile, reach, str(one.path))
@@ -154,8 +154,9 @@ def _require_windows(matched: SimulatedControl, tile: int, reach: int, where: st
         )  # fmt: skip
     if len(matched.ground) < LEAST:
         raise InputError(
-            f"{counted(len(matched.ground), 'window')} of the scene look like their simulation, and {LEAST} are needed",
+            f"{len(matched.ground)} of the {counted(matched.whole, 'window')} that DEM and scene fill look like their "
+            f"simulation, and {LEAST} are needed",
             where=where,
-            hint="look whether DEM, scene and metadata are of one place; flat land shows nothing, and a scene that "
-            "lies farther off takes a larger `reach`",
+            hint="look whether DEM, scene and metadata are of one place, without holes; flat land shows nothing, and a "
+            "scene that lies farther off takes a larger `reach`",
         )

@@ -92,8 +92,9 @@ class IlluminatedArea:
                 if found is not None:
                     self._parts[key] = found
                     return found
+            area = self.summed(part)
             # Three digits are better than any DEM.
-            found = self.summed(part).astype(np.float16)
+            found = np.where(area < LEAST, np.nan, area).astype(np.float16)
             with self._lock:
                 self._parts[key] = found
                 while sum(one.nbytes for one in self._parts.values()) > HELD:
@@ -102,6 +103,8 @@ class IlluminatedArea:
 
     def summed(self, part: Window) -> FloatArray:
         """A_γ / A_β (rows, cols) of one part, from the facets of all rows and columns whose ground can fall into it.
+
+        Next to nothing in shadow; NaN where the ground is not known.
 
         Parameters
         ----------
@@ -129,7 +132,7 @@ class IlluminatedArea:
                 inside = slice(top - level.first_row, bottom - level.first_row)
                 unknown[top - part.row : bottom - part.row] = level.open_pixels(heights, inside, part)
         ratio = total / nodes.range_step(part)
-        ratio[(ratio < LEAST) | unknown] = np.nan
+        ratio[unknown] = np.nan
         return ratio
 
     def _add(self, part: Window, level: _Level, heights: FloatArray, own: slice, total: FloatArray) -> None:

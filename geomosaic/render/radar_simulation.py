@@ -26,6 +26,8 @@ from geomosaic.types import BoolArray, FloatArray
 LOOKS = 5
 # Windows along a side of the scene: more would make the control no better than the DEM is.
 MOST = 12
+# Power of the darkest ground, over the mean: in shadow a scene shows its thermal noise.
+DARKEST = 0.05
 # Share of a tile's variance that the simulation must explain; one look of speckle leaves little.
 LEAST_CORRELATION = 0.25
 
@@ -49,6 +51,8 @@ class SimulatedControl:
         Windows for which the scene has room.
     covered : int
         Those of them that show ground of the surface.
+    whole : int
+        Those of them that surface and scene fill.
     """
 
     ground: FloatArray
@@ -58,6 +62,7 @@ class SimulatedControl:
     correlation: FloatArray
     windows: int
     covered: int
+    whole: int
 
 
 def matched_control(
@@ -74,7 +79,7 @@ def matched_control(
     model : SensorModel with `sensor_positions`
     surface : Surface
     read : callable
-        Amplitudes (rows, cols) of a window of the scene, and whether they are valid.
+        Powers (rows, cols) of a window of the scene, and whether they are valid.
     tile : int
         Side of the windows, pixels.
     reach : int
@@ -83,16 +88,17 @@ def matched_control(
     kept = []
     margin = reach + 2
     area = IlluminatedArea(model, surface)
-    regions, covered = list(_windows(model.size, tile, margin)), 0
+    regions, covered, whole = list(_windows(model.size, tile, margin)), 0, 0
     for region in regions:
         power = area.summed(region)
-        lit = np.isfinite(power)
-        if not lit.any():
+        if not np.isfinite(power).any():
             continue
         covered += 1
-        amplitude, valid = read(region)
-        expected, shown = _evened(np.where(lit, power, 0.0)), _evened(amplitude.astype(np.float64) ** 2)
-        found = shifts(expected, shown, np.asarray(valid & lit), tile, reach, LEAST_CORRELATION)
+        expected = _evened(power, np.isfinite(power))
+        shown = _evened(*read(region))
+        filled: BoolArray = np.isfinite(expected) & np.isfinite(shown)
+        whole += bool(filled.all())
+        found = shifts(expected, shown, filled, tile, reach, LEAST_CORRELATION)
         if not found.matched.any():
             continue
         covariance = _covariance(expected[margin:-margin, margin:-margin], found.correlation[0])
@@ -109,7 +115,7 @@ def matched_control(
     known = np.isfinite(ground).all(axis=1)
     return SimulatedControl(
         ground[known], (middles + moved)[known], covariances[known], moved[known], correlation[known], len(regions),
-        covered,
+        covered, whole,
     )  # fmt: skip
 
 
@@ -123,14 +129,21 @@ def _windows(size: tuple[int, int], tile: int, margin: int) -> Iterator[Window]:
             yield Window(col, row, side, side)
 
 
-def _evened(power: FloatArray) -> FloatArray:
-    """Logarithm of the mean power of some pixels: speckle, which multiplies it, becomes noise of one size."""
+def _evened(power: FloatArray, known: BoolArray) -> FloatArray:
+    """Logarithm of the mean of the known powers about each pixel, NaN where there are none.
+
+    Speckle, which multiplies power, becomes noise of one size.
+    """
     from scipy.ndimage import uniform_filter
 
-    mean = uniform_filter(power, LOOKS)
-    least = 1e-3 * float(np.median(mean[mean > 0.0])) if (mean > 0.0).any() else 1.0
-    logarithm: FloatArray = np.log(np.maximum(mean, least))
-    return logarithm
+    share = uniform_filter(known.astype(np.float64), LOOKS)
+    # A running sum leaves rounding errors where it passes no pixel.
+    some = share > 0.5 / LOOKS**2
+    mean = uniform_filter(np.where(known, power, 0.0), LOOKS)[some] / share[some]
+    out = np.full(power.shape, np.nan)
+    if some.any():
+        out[some] = np.log(np.maximum(mean, max(DARKEST * float(mean.mean()), np.finfo(np.float64).tiny)))
+    return out
 
 
 def _covariance(expected: FloatArray, correlation: float) -> FloatArray | None:

@@ -145,6 +145,18 @@ class Land:
         x, y, h = self.map(earth[:, None] + steps[:, None] * line[:, None])
         return (self.height(x, y) > h + 0.05).any(axis=1)
 
+    def shaded(self, facets: Facets, reach: float, step: float) -> np.ndarray:
+        """Whether the straight line to the sensor runs through the ground, on a map without curvature."""
+        x, y, h = self.map(facets.earth)
+        line = (facets.sensor - facets.earth) / np.linalg.norm(facets.sensor - facets.earth, axis=1)[:, None]
+        there = np.array(self.map(facets.earth + 1000.0 * line)) - [x, y, h]
+        hidden = np.zeros(len(x), dtype=bool)
+        for part in np.arange(0.8 * step, reach, step) / 1000.0:
+            left = np.flatnonzero(~hidden)
+            at = np.array([x, y, h])[:, left] + part * there[:, left]
+            hidden[left] = self.height(at[0], at[1]) > at[2] + 0.02
+        return hidden
+
     def in_layover(self, earth: np.ndarray, sensor: np.ndarray, flight: np.ndarray) -> np.ndarray:
         """Whether the circle of its range meets lit ground elsewhere."""
         line = earth - sensor
