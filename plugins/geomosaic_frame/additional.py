@@ -24,8 +24,8 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.sensor.inputs import choice, known_keys, need, number, positive, table_of
 from geomosaic.types import FloatArray
+from geomosaic_frame.distortion import Columns, Slopes, newton_inverse
 
-Columns = tuple[FloatArray, FloatArray]
 Kind = TypeVar("Kind", bound=Any)
 # (i, j, factor) of Pᵢ(x)·Pⱼ(y) in Δx, and in Δy.
 Terms = tuple[tuple[tuple[int, int, float], ...], tuple[tuple[int, int, float], ...]]
@@ -87,7 +87,6 @@ NAMES = {model: tuple(f"{model}_{name}" for name in terms) for model, terms in T
 # Beyond this share of the image's half size polynomials mean nothing, and would fold the image back on itself: their
 # arguments go on ever more slowly, by so much of it in all.
 REACH, FADE = 1.1, 0.1
-ROUNDS = 20
 # Largest slope of a correction anywhere in the image: far more than film or a sensor does.
 STEEPEST = 0.2
 
@@ -207,20 +206,12 @@ class AdditionalParameters:
 
     def undone(self, x: FloatArray, y: FloatArray) -> Columns:
         """Inverse of `shifted` by Newton's method, to rounding; NaN where it does not converge."""
-        u, v = x.copy(), y.copy()
-        for _ in range(ROUNDS):
-            a, b = self.shifted(u, v)
-            a, b = x - a, y - b
-            slopes = self.slopes(u, v)
-            det = slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0]
-            du = (slopes[:, 1, 1] * a - slopes[:, 0, 1] * b) / det
-            dv = (slopes[:, 0, 0] * b - slopes[:, 1, 0] * a) / det
-            u, v = u + du, v + dv
-            if not (np.maximum(np.abs(du), np.abs(dv)) > 1e-14 * (self.base + np.maximum(np.abs(u), np.abs(v)))).any():
-                break
-        a, b = self.shifted(u, v)
-        lost = ~(np.maximum(np.abs(a - x), np.abs(b - y)) <= 1e-10 * (self.base + np.maximum(np.abs(x), np.abs(y))))
-        return np.where(lost, np.nan, u), np.where(lost, np.nan, v)
+
+        def forward(u: FloatArray, v: FloatArray) -> tuple[Columns, Slopes]:
+            (xu, xv), (yu, yv) = np.moveaxis(self.slopes(u, v), 0, -1)
+            return self.shifted(u, v), (xu, xv, yu, yv)
+
+        return newton_inverse(forward, (x, y), (x, y), self.base, (1e-14, 1e-10))
 
     def to_dict(self) -> dict[str, Any]:
         """Table of `from_table`."""

@@ -11,7 +11,7 @@ the radius never shrinks again.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Protocol, Self, cast
@@ -24,7 +24,12 @@ from geomosaic.types import BoolArray, FloatArray
 # Metres in front of the camera below which a point is not seen; keeps powers of x / z finite.
 NEAREST_DEPTH = 1e-9
 
+# Newton steps of an inverse at most.
+ROUNDS = 50
+
 Columns = tuple[FloatArray, FloatArray]
+# Derivatives of u by x, u by y, v by x, v by y.
+Slopes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 class Lens(Protocol):
@@ -107,8 +112,7 @@ class Perspective(NamedCoefficients):
     def _undistort(self, u: FloatArray, v: FloatArray) -> Columns:
         return u, v
 
-    def _slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Derivatives of u by x, u by y, v by x, v by y."""
+    def _slopes(self, x: FloatArray, y: FloatArray) -> Slopes:
         one, zero = np.ones_like(x), np.zeros_like(x)
         return one, zero, zero, one
 
@@ -157,6 +161,58 @@ class NoDistortion(Perspective):
     def to_dict(self) -> dict[str, Any]:
         """State as JSON values."""
         return {"model": "none"}
+
+
+def newton_inverse(
+    forward: Callable[[FloatArray, FloatArray], tuple[Columns, Slopes]],
+    given: Columns,
+    start: Columns,
+    unit: float = 1.0,
+    goal: tuple[float, float] = (2e-15, 1e-12),
+) -> Columns:
+    """Inverse of a map of the image plane by Newton's method in two unknowns; NaN where it does not converge.
+
+    Parameters
+    ----------
+    forward : callable
+        Of places (N,) each, to their images and the derivatives of these.
+    given : tuple of array (N,)
+        Images of the places looked for.
+    start : tuple of array (N,)
+        Places near enough.
+    unit : float
+        Size of the coordinates that counts as 1.
+    goal : tuple of float
+        Last step, and largest miss of the images, of the unit and the coordinates.
+    """
+    (u, v), (x, y) = given, start
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(ROUNDS):
+            (a, b), (ux, uy, vx, vy) = forward(x, y)
+            a, b = u - a, v - b
+            det = ux * vy - uy * vx
+            dx, dy = (vy * a - uy * b) / det, (ux * b - vx * a) / det
+            x, y = x + dx, y + dy
+            step = np.maximum(np.abs(dx), np.abs(dy)) / (unit + np.maximum(np.abs(x), np.abs(y)))
+            if not (step > goal[0]).any():
+                break
+        a, b = forward(x, y)[0]
+        size = unit + np.maximum(np.abs(u), np.abs(v))
+        lost = ~(np.maximum(np.abs(a - u), np.abs(b - v)) <= goal[1] * size)
+    return np.where(lost, np.nan, x), np.where(lost, np.nan, y)
+
+
+def inverse_slopes(slopes: Slopes) -> Slopes:
+    """Derivatives of the inverse of a map of the image plane.
+
+    Parameters
+    ----------
+    slopes : tuple of array (N,)
+        Derivatives of the map.
+    """
+    ux, uy, vx, vy = slopes
+    det = ux * vy - uy * vx
+    return vy / det, -uy / det, -vx / det, ux / det
 
 
 # Slope of the continuation where the polynomial would turn: small, but steep enough to be inverted.

@@ -32,11 +32,10 @@ from geomosaic.sensor.ray_corrections import (
 from geomosaic.types import BoolArray, FloatArray
 from geomosaic_frame.additional import NAMES, AdditionalParameters, additional_of, with_requested
 from geomosaic_frame.deformation import Deformation
-from geomosaic_frame.distortion import Columns, Perspective
+from geomosaic_frame.distortion import Columns, Perspective, Slopes, inverse_slopes, newton_inverse
 from geomosaic_frame.interior_orientation import apply
 from geomosaic_frame.radial_tables import Radial, RadialPolynomial, radial_from_dict
 
-ROUNDS = 30
 # Terms of a radial polynomial, k0 to k4.
 DEGREE = 5
 
@@ -62,7 +61,7 @@ class FilmLens(Perspective):
     symmetry: tuple[float, float] = (0.0, 0.0)
     tangential: tuple[float, float] = (0.0, 0.0)
 
-    def _ideal(self, u: FloatArray, v: FloatArray) -> tuple[Columns, tuple[FloatArray, ...]]:
+    def _ideal(self, u: FloatArray, v: FloatArray) -> tuple[Columns, Slopes]:
         """Ideal (x, y) and the four derivatives by the measured (u, v), in focal lengths, y down."""
         c = self.constant
         dx, dy = u * c - self.symmetry[0], -v * c - self.symmetry[1]
@@ -94,27 +93,10 @@ class FilmLens(Perspective):
         return self._ideal(u, v)[0]
 
     def _distort(self, x: FloatArray, y: FloatArray) -> Columns:
-        """Measured from ideal image by Newton's method, to rounding; NaN where it does not converge."""
-        u, v = x.copy(), y.copy()
-        with np.errstate(over="ignore", invalid="ignore"):
-            for _ in range(ROUNDS):
-                (a, b), (xx, xy, yx, yy) = self._ideal(u, v)
-                a, b = x - a, y - b
-                det = xx * yy - xy * yx
-                du, dv = (yy * a - xy * b) / det, (xx * b - yx * a) / det
-                u, v = u + du, v + dv
-                step = np.maximum(np.abs(du), np.abs(dv)) / (1.0 + np.maximum(np.abs(u), np.abs(v)))
-                if not (step > 2e-15).any():
-                    break
-            a, b = self._ideal(u, v)[0]
-            lost = ~(np.maximum(np.abs(a - x), np.abs(b - y)) <= 1e-12 * (1.0 + np.maximum(np.abs(x), np.abs(y))))
-        return np.where(lost, np.nan, u), np.where(lost, np.nan, v)
+        return newton_inverse(self._ideal, (x, y), (x, y))
 
-    def _slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Derivatives of the measured by the ideal image: the inverse of those of the corrections."""
-        xx, xy, yx, yy = self._ideal(*self._distort(x, y))[1]
-        det = xx * yy - xy * yx
-        return yy / det, -xy / det, -yx / det, xx / det
+    def _slopes(self, x: FloatArray, y: FloatArray) -> Slopes:
+        return inverse_slopes(self._ideal(*self._distort(x, y))[1])
 
     @property
     def coefficients(self) -> dict[str, float]:

@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray
-from geomosaic_frame.distortion import Columns, Perspective, fold_radius
+from geomosaic_frame.distortion import Columns, Perspective, Slopes, fold_radius, newton_inverse
 
-ROUNDS = 50
 TABLE = 257
 
 
@@ -135,7 +134,7 @@ class PolynomialLens(Perspective):
             b += s3 * second + s4 * fourth
         return a, b
 
-    def _slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _slopes(self, x: FloatArray, y: FloatArray) -> Slopes:
         u = x * x + y * y
         one = np.ones_like(u)
         q, dq = self._factor(u) * one, self._factor_slope(u) * one
@@ -210,21 +209,7 @@ class PolynomialLens(Perspective):
         return u * ratio, v * ratio
 
     def _undistort(self, u: FloatArray, v: FloatArray) -> Columns:
-        """Newton's method in two unknowns, to rounding; NaN where it does not converge."""
-        x, y = self._start(u, v)
-        for _ in range(ROUNDS):
-            a, b = self._distort(x, y)
-            a, b = u - a, v - b
-            ux, uy, vx, vy = self._slopes(x, y)
-            det = ux * vy - uy * vx
-            dx, dy = (vy * a - uy * b) / det, (ux * b - vx * a) / det
-            x, y = x + dx, y + dy
-            step = np.maximum(np.abs(dx), np.abs(dy)) / (1.0 + np.maximum(np.abs(x), np.abs(y)))
-            if not (step > 2e-15).any():
-                break
-        a, b = self._distort(x, y)
-        lost = np.maximum(np.abs(a - u), np.abs(b - v)) > 1e-12 * (1.0 + np.maximum(np.abs(u), np.abs(v)))
-        return np.where(lost, np.nan, x), np.where(lost, np.nan, y)
+        return newton_inverse(lambda x, y: (self._distort(x, y), self._slopes(x, y)), (u, v), self._start(u, v))
 
     def in_calibrated_range(self, u: FloatArray, v: FloatArray) -> BoolArray:
         """Whether the polynomial is used there as given, not its continuation (N,)."""

@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from geomosaic.types import BoolArray, FloatArray
-from geomosaic_frame.distortion import Columns, Perspective
+from geomosaic_frame.distortion import Columns, Perspective, Slopes, inverse_slopes
 from geomosaic_frame.polynomial import Brown
 
 # |dg/dr| up to which a polynomial is used.
@@ -189,10 +189,8 @@ class Corrections(Perspective):
     def _undistort(self, u: FloatArray, v: FloatArray) -> Columns:
         return self.formula._distort(u, v)
 
-    def _slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        xu, xv, yu, yv = self.formula._slopes(*self.formula._undistort(x, y))
-        det = xu * yv - xv * yu
-        return yv / det, -xv / det, -yu / det, xu / det
+    def _slopes(self, x: FloatArray, y: FloatArray) -> Slopes:
+        return inverse_slopes(self.formula._slopes(*self.formula._undistort(x, y)))
 
     @property
     def coefficients(self) -> dict[str, float]:
