@@ -9,7 +9,7 @@ from typing import Any
 from geomosaic.errors import counted, listed
 from geomosaic.options.naming import flag, renamed_values
 from geomosaic.report.block_figures import BlockFigures
-from geomosaic.report.page import card, decimals, number, rendered
+from geomosaic.report.page import card, decimals, length_text, number, rendered
 
 # Rows of a table; the JSON twin has them all.
 MOST_ROWS = 300
@@ -88,13 +88,15 @@ def _cards(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     found.append(card("Image residuals, RMS", number(images["rms"], 2), "px", text))
     (x, y, z), unit = points["median_sigmas"], facts["length_unit"]
     plan = math.hypot(x, y) if _known(x) and _known(y) else None
-    text = f"Median over {points['adjusted']} points; in height {_length(z, unit)}."
-    found.append(card("Points, 1 sigma in plan", *_length(plan, unit).partition(" ")[::2], text))
+    text = f"Median over {points['adjusted']} points; in height {length_text(z, unit)}."
+    found.append(card("Points, 1 sigma in plan", *length_text(plan, unit).partition(" ")[::2], text))
     checks = facts["checks"]
     if checks["count"]:
-        height = _length(checks["rms_height"], unit)
+        height = length_text(checks["rms_height"], unit)
         text = f"Of {counted(checks['count'], 'point')} that took no part; in height {height}."
-        found.append(card("Check points, RMS in plan", *_length(checks["rms_plan"], unit).partition(" ")[::2], text))
+        found.append(
+            card("Check points, RMS in plan", *length_text(checks["rms_plan"], unit).partition(" ")[::2], text)
+        )
     count = len(facts["blunders"])
     share = count / max(sum(each["used"] + each["rejected"] for each in facts["observations"]), 1)
     text = (
@@ -256,14 +258,3 @@ def _sentence(text: str) -> str:
 
 def _known(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
-
-
-def _length(value: float | None, unit: str) -> str:
-    """Length, metres in the unit that gives it a number above 1."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    if unit != "m":
-        return f"{value:.3g} {unit}"
-    return (
-        f"{value:.3g} m" if value >= 1.0 else f"{100.0 * value:.3g} cm" if value >= 0.01 else f"{1000.0 * value:.2g} mm"
-    )

@@ -15,6 +15,7 @@ from geomosaic.orientation.block.initial_values import at_level
 from geomosaic.orientation.block.residual_pattern import residual_pattern
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.report.figures import Outline, Vector, path_data
+from geomosaic.report.page import length_text
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Width of the maps, and their height at most, in units of the picture.
@@ -202,21 +203,13 @@ def _height_sigmas(solution: BlockSolution, pixels: _Pixels) -> tuple[list[tuple
             side = f"h{SIGMA_CELL}v{SIGMA_CELL}h-{SIGMA_CELL}z"
             path = "".join(f"M{x} {y}{side}" for x, y in (SIGMA_CELL * mine).tolist())
             found.append((words, colour, len(mine), path))
-    return found, _in_unit(middle, solution.length_unit)
+    return found, length_text(middle, solution.length_unit)
 
 
 def _bar(most: float, scale: float, unit: str) -> tuple[float, str]:
     """Scale bar of a round length that is at most so long in the picture."""
     length = round_below(most / scale)
-    return length * scale, _in_unit(length, unit)
-
-
-def _in_unit(length: float, unit: str = "m") -> str:
-    """Length with three figures, metres in the largest unit in which it is at least 1."""
-    if unit != "m":
-        return f"{length:.3g} {unit}"
-    units = ((1e-3, "km"), (1.0, "m"), (100.0, "cm"))
-    return next((f"{length * by:.3g} {u}" for by, u in units if length * by >= 1.0), f"{length * 1000.0:.3g} mm")
+    return length * scale, length_text(length, unit)
 
 
 def _outlines(solution: BlockSolution) -> dict[str, FloatArray]:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from geomosaic.numbers import round_below
 from geomosaic.raster.pictures import jpeg_bytes, preview
 from geomosaic.raster.vector import read_layer
+from geomosaic.report.page import length_text
 from geomosaic.types import FloatArray
 
 # Pixels of the preview's longer side.
@@ -154,11 +155,7 @@ def mosaic_map(mosaic: Path, vectors: Path, bounds: Sequence[float], unit: str) 
         if part.geom_type == "LineString"
     ]
     length = round_below((right - left) / 5)
-    text = (
-        f"{length / 1000:g} km"
-        if unit == "metre" and length >= 1000
-        else f"{length:g} {'m' if unit == 'metre' else unit}"
-    )
+    text = length_text(length, "m" if unit == "metre" else unit)
     return MosaicMap(
         width, height, data_uri(jpeg_bytes(rgb, valid), "image/jpeg"), outlines, seams, length * float(scale[0]), text
     )

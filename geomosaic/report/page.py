@@ -54,6 +54,27 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
 
 
+def length_text(length: float | None, unit: str) -> str:
+    """Length with three figures, metres in the largest unit in which it is at least 1.
+
+    Parameters
+    ----------
+    length : float or None
+    unit : str
+        'm', or another that stays.
+
+    Returns
+    -------
+    str
+        '–' for None, NaN and infinity.
+    """
+    if length is None or not math.isfinite(length):
+        return "–"
+    units = {"km": 1e-3, "m": 1.0, "cm": 100.0, "mm": 1000.0} if unit == "m" else {unit: 1.0}
+    name = next((name for name, by in units.items() if length * by >= 1.0), [*units][-1])
+    return f"{length * units[name]:.3g} {name}"
+
+
 def _rounded(value: float | None) -> str:
     """Positive number with two significant figures; '∞' for infinity, and a dash where there is none."""
     if value is None or math.isnan(value):
