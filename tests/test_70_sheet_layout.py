@@ -259,7 +259,7 @@ def test_papers_and_scales() -> None:
     assert paper_size("a3") == (297.0, 420.0)
     assert paper_size("300x200mm") == (300.0, 200.0)
     assert [parse_scale(t) for t in ("1:5000", "1 : 25 000", "2500", "1:10'000")] == [5000, 25000, 2500, 10000]
-    for text in ("1:0", "0", "large", "1:"):
+    for text in ("1:0", "0", "large", "1:", "1:2,5"):
         with pytest.raises(InputError, match="no scale"):
             parse_scale(text)
     with pytest.raises(InputError, match="no paper"):

@@ -141,17 +141,12 @@ class Scale(click.types.FloatParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Denominator of a text."""
-        if isinstance(value, float):
-            return value
-        head, mark, tail = str(value).rpartition(":")
+        from geomosaic.options.sheet import parse_scale
+
         try:
-            # Thousands are written with spaces or narrow no-break spaces: 1:10 000.
-            found = float(tail.replace(" ", "").replace("\u202f", ""))
-        except ValueError:
-            found = 0.0
-        if (mark and head.strip() != "1") or not 0 < found < float("inf"):
-            self.fail(f"'{value}' is no scale; write 1:5000", param, ctx)
-        return found
+            return float(value) if isinstance(value, int | float) else parse_scale(value)
+        except InputError as error:
+            self.fail(f"{error.what}; {error.hint}", param, ctx)
 
 
 class Measure(click.types.FloatParamType):

@@ -63,9 +63,9 @@ def parse_scale(text: str, where: str | None = None) -> float:
     InputError
         It is no scale, or 0.
     """
-    found = re.fullmatch(r"\s*(?:1\s*[:/]\s*)?(\d[\d\s'’,\u202f]*(?:\.\d+)?)\s*", text)
+    found = re.fullmatch(r"\s*(?:1\s*[:/]\s*)?((?:\d+|\d{1,3}(?:[\s'’,\u202f]\d{3})+)(?:\.\d+)?)\s*", text)
     value = float(re.sub(r"[\s'’,\u202f]", "", found[1])) if found else 0.0
-    if not value >= 1.0:
+    if not 0.0 < value < float("inf"):
         raise InputError(f"'{text}' is no scale", where=where, hint="write 1:5000")
     return value
 
