@@ -259,8 +259,10 @@ def make_series(
             tasks.append(_Task(_anywhere(inputs), place, path.absolute()))
     _write_record(folder, record)
     made = []
-    # Matplotlib is not made for threads: one sheet after the other, or on workers.
-    running = RunningOptions(threads=1, workers=wanted.workers, **UNLIMITED if isinstance(wanted.workers, int) else {})
+    # Matplotlib is not made for threads: one sheet after the other, here or on workers. One process would be as fast as
+    # this one.
+    workers = None if wanted.workers == 1 else wanted.workers
+    running = RunningOptions(threads=1, workers=workers, **UNLIMITED if isinstance(workers, int) else {})
     for done, (task, _) in enumerate(map_units(_draw, tasks, running) if tasks else (), 1):
         entry = record["sheets"][task.path.name]
         entry["sha256"] = sha256(task.path)
