@@ -173,26 +173,7 @@ def adjust_block(
     problem, state, held = every.with_determined_images(start, weak)
     rejected = [np.zeros(len(weight), dtype=np.bool_) for weight in state.weights]
     if robust and alpha is not None:
-        met = _where_rays_meet(problem, state)
-        softened = replace(_softened(problem, state, met), robust=ROBUST)
-        # Rays to copies of a repeated texture would throw a good start away in the first round, at full weight. Where
-        # wrong control put a point, its rays are judged by where they meet.
-        starts = (state, softened.after_inner_iterations(state), met)
-        judged = [softened.refreshed(each).weights for each in starts]
-        weights = tuple(np.maximum.reduce(each) for each in zip(*judged, strict=True))
-        turned = _contradicted(problem, state)
-        weights = tuple(np.where(out, 0.0, weight) for out, weight in zip(turned, weights, strict=True))
-        found = solve(softened, replace(state, weights=weights), ROBUST_RULES)
-        rounds += found.rounds
-        if not _median_length(problem, found.state) <= _median_length(problem, state):
-            # Where little holds a block, over flat control, an undamped step may throw it away.
-            found = solve(softened, replace(state, weights=weights), DAMPED_RULES)
-            rounds += found.rounds
-        # Image positions, and points of lakes and planes, whose weight fell below a twenty-fifth.
-        weights = found.state.weights
-        rejected = [(weight > 0.0) & (weight < 0.04) | far for weight, far in zip(weights, turned, strict=True)]
-        rejected[0] &= ~_rays_of_lost_control(problem, state, rejected[0])
-        state = found.state
+        state, rejected, rounds = _robust_start(problem, state)
         scatter = first_scatter(problem, state, rejected)
         every = _scaled(every, declared, scatter)
     looked = np.full(len(start.moving), alpha is None)  # for where the rays of a lost point meet
@@ -289,6 +270,30 @@ def adjust_block(
         problem, state, network, solution.squares, redundancy, sigma0_of(solution.squares, redundancy), rounds,
         tuple(statistics), tuple(rejected), held, factors, tuple(wrong),
     )  # fmt: skip
+
+
+def _robust_start(problem: BlockProblem, state: BlockState) -> tuple[BlockState, list[BoolArray], int]:
+    """State after rounds of weights that fall with the residuals, what it rejects of each group, and the rounds."""
+    met = _where_rays_meet(problem, state)
+    softened = replace(_softened(problem, state, met), robust=ROBUST)
+    # Rays to copies of a repeated texture would throw a good start away in the first round, at full weight. Where
+    # wrong control put a point, its rays are judged by where they meet.
+    starts = (state, softened.after_inner_iterations(state), met)
+    judged = [softened.refreshed(each).weights for each in starts]
+    weights = tuple(np.maximum.reduce(each) for each in zip(*judged, strict=True))
+    turned = _contradicted(problem, state)
+    weights = tuple(np.where(out, 0.0, weight) for out, weight in zip(turned, weights, strict=True))
+    found = solve(softened, replace(state, weights=weights), ROBUST_RULES)
+    rounds = found.rounds
+    if not _median_length(problem, found.state) <= _median_length(problem, state):
+        # Where little holds a block, over flat control, an undamped step may throw it away.
+        found = solve(softened, replace(state, weights=weights), DAMPED_RULES)
+        rounds += found.rounds
+    # Image positions, and points of lakes and planes, whose weight fell below a twenty-fifth.
+    weights = found.state.weights
+    rejected = [(weight > 0.0) & (weight < 0.04) | far for weight, far in zip(weights, turned, strict=True)]
+    rejected[0] &= ~_rays_of_lost_control(problem, state, rejected[0])
+    return found.state, rejected, rounds
 
 
 def _redundancy(problem: BlockProblem, state: BlockState, network: Network) -> int:
