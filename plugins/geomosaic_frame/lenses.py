@@ -175,12 +175,12 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
     Parameters
     ----------
     table : mapping
-        `model`: 'none', 'brown', 'opencv' or 'fisheye'; its coefficients, 0 where not given; for 'brown' a
-        `convention`: 'opencv' (default: without unit, y down, ideal to distorted) or 'photogrammetric' (mm, y up,
-        corrections added to the measured coordinates); of 'opencv' also `corrects` = 'measured', where the formula
-        turns measured coordinates into ideal ones; `shear`: columns per row by which the axes of the sensor are
-        off the right angle, u + shear·v (Metashape's b2 over its focal length along columns); `centre` = [x, y] of
-        the distortion, from the principal point in focal lengths, x right, y down (not for 'fisheye').
+        `model`: a key of `LENSES`; its coefficients, 0 where not given; for 'brown' a `convention`: 'opencv' (default:
+        without unit, y down, ideal to distorted) or 'photogrammetric' (mm, y up, corrections added to the measured
+        coordinates); with the former `corrects` = 'measured', where the formula turns measured coordinates into ideal ones;
+        `shear`: columns per row by which the axes of the sensor are off the right angle, u + shear·v (Metashape's b2
+        over its focal length along columns); `centre` = [x, y] of the distortion, from the principal point in focal
+        lengths, x right, y down (not for 'fisheye').
     focal : float or None
         Focal length in mm where it is known.
     where : str
