@@ -73,6 +73,8 @@ def spoil(block: Path, tmp_path: Path, kind: str) -> tuple[list[str], dict[str, 
         return [image], {"option": "treatmnet=planar"}, ("did you mean 'treatment'",)
     if kind == "no camera":
         return [image], {"camera": tmp_path / "none.toml"}, ("none.toml", "does not exist")
+    if kind == "height for a DEM":
+        return [image], {"dem": "300"}, ("300: the file of --dem", "--height")
     if kind == "not an image":
         text = tmp_path / PHOTOS[0]
         text.write_text("this is no image")
@@ -83,7 +85,7 @@ def spoil(block: Path, tmp_path: Path, kind: str) -> tuple[list[str], dict[str, 
 KINDS = (
     "missing image", "truncated image", "no vertical datum", "no vertical datum of the DEM", "DEM elsewhere",
     "DEM of NaN", "sky", "radians", "wrong CRS", "vertical CRS", "geocentric CRS with a geoid",
-    "unknown sensor", "unknown input", "no camera", "not an image",
+    "unknown sensor", "unknown input", "no camera", "height for a DEM", "not an image",
 )  # fmt: skip
 
 

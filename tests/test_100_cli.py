@@ -96,6 +96,7 @@ def test_a_broken_sensor_is_listed_and_reported_by_name_only(tell, monkeypatch):
         (["ortho", "a.tif", "-o", "b.tif", "--bounds", "1", "2", "3", "x"], "'--bounds': '1 2 3 x' is no area"),
         (["ortho", "a.tif", "-o", "b.tif", "--bounds", "5", "2", "3", "9"], "such as 399850 5499850"),
         (["ortho", "a.tif", "-o", "b.tif", "--bounds", "nan", "2", "3", "9"], "is no area"),
+        (["ortho", "a.tif", "-o", "b.tif", "--resolution", "1"], "Did you mean '--res'?"),
         (["ortho", "a.tif", "-o", "b.tif", "--res", "wide"], "'--res': 'wide' is not a number; give a number above 0"),
         (["ortho", "a.tif", "-o", "b.tif", "--res", "0"], "0 is out of range; give a number above 0"),
         (["ortho", "a.tif", "-o", "b.tif", "--res", "inf"], "inf is no finite number"),

@@ -32,6 +32,17 @@ CHECKS = {"dst_crs": map_crs, "src_crs": map_crs}
 class GroupedCommand(click.Command):
     """Command whose help shows options under the headings of their groups."""
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse; who types the name of the library or of a project file for a flag is told the flag."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            name = error.option_name.lstrip("-").replace("-", "_")
+            error.possibilities = [flag for one in self.params if one.name == name for flag in one.opts] or (
+                error.possibilities
+            )
+            raise
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, group by group."""
         shown: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}

@@ -113,7 +113,9 @@ def _refuse_missing(inputs: Block) -> None:
         # GDAL reads from archives and addresses, too, which are no files.
         local = isinstance(given, Path) and not str(given).startswith("/vsi") and ":" not in str(given)
         if isinstance(given, Path) and local and not given.exists():
-            raise InputError(f"the file of `{name}` does not exist", where=str(given), hint="check the path")
+            number = name == "dem" and given.name.replace(".", "", 1).isdigit()
+            hint = "one height for all the ground is given as `height`" if number else "check the path"
+            raise InputError(f"the file of `{name}` does not exist", where=str(given), hint=hint)
 
 
 def join_blocks(parts: Sequence[Block], blocks: Sequence[OrientedBlock]) -> OrientedBlock:
