@@ -177,7 +177,7 @@ def lens_from_table(table: Mapping[str, Any], focal: float | None, where: str) -
     table : mapping
         `model`: a key of `LENSES`; its coefficients, 0 where not given; for 'brown' a `convention`: 'opencv' (default:
         without unit, y down, ideal to distorted) or 'photogrammetric' (mm, y up, corrections added to the measured
-        coordinates); with the former `corrects` = 'measured', where the formula turns measured coordinates into ideal ones;
+        coordinates); with the former `corrects` = 'measured', where the formula turns measured into ideal coordinates;
         `shear`: columns per row by which the axes of the sensor are off the right angle, u + shear·v (Metashape's b2
         over its focal length along columns); `centre` = [x, y] of the distortion, from the principal point in focal
         lengths, x right, y down (not for 'fisheye').
