@@ -137,6 +137,19 @@ def test_shift_and_drift_come_back_from_control_and_a_blunder_is_named():
     assert np.abs((found.solved.model.parameters.values - true) / model.parameters.steps).max() < 1e-3
 
 
+@pytest.mark.parametrize("epoch", [86_399.0, 1.7e9])
+def test_times_count_from_any_epoch(epoch):
+    """Seconds of the day, and since 1970, of which a number has only 7 digits after the point."""
+    table, _ = SCENE.ground_table()
+    moved = json.loads(json.dumps(table))
+    moved["first_row_time"] += epoch
+    moved["orbit"]["times"] = [t + epoch for t in moved["orbit"]["times"]]
+    for record in moved["ground_range"]["polynomials"]:
+        record["time"] += epoch
+    found = _model(table=moved).ground_to_image(_ground())
+    assert np.abs(found - _model(table=table).ground_to_image(_ground())).max() < 1e-3
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -150,6 +163,8 @@ def test_shift_and_drift_come_back_from_control_and_a_blunder_is_named():
         (lambda t: t["slant_range"].update(near=-1.0), "slant_range, near"),
         (lambda t: t.update(looking="down"), "choose from"),
         (lambda t: t.update(lookng="left"), "did you mean 'looking'"),
+        (lambda t: t["orbit"].update({k: v[3:5] for k, v in t["orbit"].items()}), "at least 3 of different times"),
+        (lambda t: t.update(size=[800.5, 1000]), "is no size of an image"),
         (lambda t: t.pop("row_interval"), "'row_interval' is missing"),
     ],
 )

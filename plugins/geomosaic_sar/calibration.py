@@ -20,7 +20,6 @@ import numpy as np
 from geomosaic.errors import InputError
 from geomosaic.types import AnyArray, FloatArray, IntArray
 
-# Quantities, and the power of sin θ and cos θ that make them of beta nought.
 QUANTITIES = ("beta0", "sigma0", "gamma0")
 FLATTENED = "gamma0-flattened"
 CALIBRATIONS = ("none", *QUANTITIES, FLATTENED)

@@ -67,12 +67,13 @@ class StateVectors:
         order = np.argsort(times, kind="stable")
         t, p = times[order], positions[order]
         v = None if velocities is None else velocities[order]
-        least = 2 if v is not None else 4
+        # One more than a cubic takes: without one that can be left out the error of the orbit is not known.
+        least = 3 if v is not None else 5
         if len(t) < least or not (np.diff(t) > 0.0).all():
             raise InputError(
                 f"{len(t)} state vectors do not make an orbit",
                 where=where,
-                hint=f"at least {least} of different times are needed, or 2 with velocities",
+                hint="at least 3 of different times are needed, or 5 where they have no velocities",
             )
         gaps = np.diff(t)
         if gaps.max() > _UNEVEN * gaps.min() or gaps.max() > _LONGEST:
@@ -141,7 +142,7 @@ class Orbit:
         Parameters
         ----------
         states : StateVectors
-            At least two with velocities, or four.
+            At least three with velocities, or five.
         """
         pieces = [_piece(states, interval) for interval in range(len(states.times) - 1)]
         return cls(states, np.array(pieces))
@@ -185,17 +186,14 @@ class Orbit:
         return position, velocity * rate, 2.0 * acceleration * rate * rate
 
     def mismatch(self) -> float:
-        """Largest distance of an inner state from the orbit through all others, metres; 0 where none can be left out.
+        """Largest distance of an inner state from the orbit through all others, metres.
 
         It bounds the error of the interpolation between states, as leaving a state out doubles their distance.
         """
-        least = 2 if self.states.velocities is not None else 4
         worst = 0.0
         for index in range(1, len(self.states.times) - 1):
-            others = self.states.without(index)
-            if len(others.times) >= least:
-                there = Orbit.through(others).at(self.states.times[index : index + 1])[0]
-                worst = max(worst, float(np.linalg.norm(there[0] - self.states.positions[index])))
+            there = Orbit.through(self.states.without(index)).at(self.states.times[index : index + 1])[0]
+            worst = max(worst, float(np.linalg.norm(there[0] - self.states.positions[index])))
         return worst
 
 
@@ -244,8 +242,8 @@ def require_orbit(orbit: Orbit, first: float, last: float, where: str) -> None:
     begin, end = orbit.span
     if first < begin or last > end:
         raise InputError(
-            f"the orbit is too short: its state vectors cover {begin:.3f} to {end:.3f} s, the rows of the scene "
-            f"{first:.3f} to {last:.3f} s",
+            f"the orbit is too short: from the first row its state vectors cover {begin - first:.3f} to "
+            f"{end - first:.3f} s, the rows of the scene 0 to {last - first:.3f} s",
             where=where,
             hint="give state vectors from before the first row to after the last one, and check that the times of both "
             "count from one epoch",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -54,15 +55,20 @@ def read_table(text: str, where: str) -> RadarScene:
         raise InputError(f"this is no JSON ({str(error)[:80]})", where=where, hint="correct it") from None
     table = table_of(table, "the file", where)
     known_keys(table, KEYS, where)
-    width, height = (
-        int(positive(v, "size", where)) for v in numbers(need(table, "size", where, _SIZE), 2, "size", where)
-    )
+    size = numbers(need(table, "size", where, _SIZE), 2, "size", where)
+    width, height = (int(value) for value in size)
+    if size != (width, height) or min(size) < 1:
+        raise InputError(
+            f"size = {list(size)} is no size of an image", where=where, hint=f"give {_SIZE}, whole numbers"
+        )
     looking = choice(need(table, "looking", where, "right or left of the flight"), SIDES, "looking", where)
     first = number(
         need(table, "first_row_time", where, "zero-Doppler time of the first row, seconds"), "first_row_time", where
     )
     interval = positive(need(table, "row_interval", where, "seconds from row to row"), "row_interval", where)
-    states = _states(table_of(need(table, "orbit", where, _ORBIT), "orbit", where), where)
+    # A time since 1970 has 7 digits after the point, one since the scene began has 14.
+    epoch = math.floor(first)
+    states = _states(table_of(need(table, "orbit", where, _ORBIT), "orbit", where), epoch, where)
     if ("slant_range" in table) == ("ground_range" in table):
         raise InputError(
             "one of slant_range and ground_range must be given",
@@ -78,8 +84,8 @@ def read_table(text: str, where: str) -> RadarScene:
         )
         axis = SlantRange(near, spacing)
     else:
-        axis = _ground_range(table_of(table["ground_range"], "ground_range", where), width, where)
-    geometry = checked_geometry(states, (width, height), (first, interval), SIDES[looking], axis, where)
+        axis = _ground_range(table_of(table["ground_range"], "ground_range", where), width, epoch, where)
+    geometry = checked_geometry(states, (width, height), (first - epoch, interval), SIDES[looking], axis, where)
     title = str(table.get("title", "radar scene"))[:100]
     ground = number(table.get("ground_height", 0.0), "ground_height", where)
     known = {} if "calibration" not in table else {"": _calibration(table["calibration"], where)}
@@ -103,15 +109,15 @@ def _calibration(value: Any, where: str) -> SarCalibration:
     return SarCalibration(quantity, amplitude, None if noise is None else ThermalNoise(PixelTable.constant(noise)))
 
 
-_SIZE = "[width, height] in pixels"
+_SIZE = "[width, height] in whole pixels"
 _ORBIT = "{times, positions, velocities} of the state vectors"
 
 
-def _states(orbit: Mapping[str, Any], where: str) -> StateVectors:
+def _states(orbit: Mapping[str, Any], epoch: float, where: str) -> StateVectors:
     known_keys(orbit, ("times", "positions", "velocities"), f"{where}, orbit")
     rows = need(orbit, "times", where, "seconds from the same epoch as first_row_time")
     count = len(rows) if isinstance(rows, list) and len(rows) <= _MOST_RECORDS else 0
-    times = np.array(numbers(rows, count, "orbit, times", where))
+    times = np.array(numbers(rows, count, "orbit, times", where)) - epoch
     positions = _vectors(need(orbit, "positions", where, "[x, y, z] of each state"), count, "orbit, positions", where)
     given = orbit.get("velocities")
     velocities = None if given is None else _vectors(given, count, "orbit, velocities", where)
@@ -124,7 +130,7 @@ def _vectors(value: Any, count: int, key: str, where: str) -> FloatArray:
     return np.array([numbers(vector, 3, key, where) for vector in value]).reshape(-1, 3)
 
 
-def _ground_range(table: Mapping[str, Any], width: int, where: str) -> GroundRange:
+def _ground_range(table: Mapping[str, Any], width: int, epoch: float, where: str) -> GroundRange:
     """Columns over ground range, and the slant ranges at which they begin and end."""
     known_keys(table, ("first", "spacing", "polynomials"), f"{where}, ground_range")
     first = number(table.get("first", 0.0), "ground_range, first", where)
@@ -135,7 +141,8 @@ def _ground_range(table: Mapping[str, Any], width: int, where: str) -> GroundRan
     times, origins, rows = [], [], []
     for record in records:
         known_keys(table_of(record, "polynomials", where), ("time", "origin", "coefficients"), f"{where}, polynomials")
-        times.append(number(need(record, "time", where, "azimuth time, seconds"), "polynomials, time", where))
+        time = number(need(record, "time", where, "azimuth time, seconds"), "polynomials, time", where)
+        times.append(time - epoch)
         origins.append(number(need(record, "origin", where, "slant range, metres"), "polynomials, origin", where))
         given = need(record, "coefficients", where, "lowest power first")
         count = len(given) if isinstance(given, list) else 0
