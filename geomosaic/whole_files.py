@@ -196,6 +196,20 @@ def read_lines(
     return lines
 
 
+def delimiter_of(header: str) -> str:
+    """Delimiter of a table: the most frequent of tab, semicolon and comma in its header, else a blank.
+
+    Parameters
+    ----------
+    header : str
+    """
+    # Delimiters within quotes belong to a name.
+    bare = "".join(part for i, part in enumerate(header.replace("'", '"').split('"')) if i % 2 == 0)
+    counts = [(bare.count(mark), mark) for mark in ("\t", ";", ",")]
+    most = max(counts, key=lambda pair: pair[0])
+    return most[1] if most[0] else " "
+
+
 def read_records(path: PathLike, what: str) -> list[list[str]]:
     """Rows of comma-separated values, the header first; blank lines and comments (#) are left out.
 

@@ -219,13 +219,13 @@ SMALL_JOBS: dict[str, tuple[str, tuple[str, ...], int]] = {
         "ortho photo.tif --sensor frame --camera camera.toml --exterior exterior.csv --exterior-crs EPSG:32631 "
         "--heights ellipsoidal --height 100 --res 1 -o out.tif",
         IDLE_WITHOUT_CONTROL,
-        116,
+        117,
     ),
-    "reproject": ("reproject map.tif --dst-crs EPSG:2154 -o out.tif", IDLE_WITHOUT_CONTROL, 106),
+    "reproject": ("reproject map.tif --dst-crs EPSG:2154 -o out.tif", IDLE_WITHOUT_CONTROL, 107),
     "georeference": (
         "georeference photo.tif --gcps control.csv --crs EPSG:32631 --model affine --no-report -o out.tif",
         (),
-        133,
+        134,
     ),
 }
 

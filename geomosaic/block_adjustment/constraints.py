@@ -13,7 +13,8 @@ from geomosaic.block_adjustment.measurements import Measurements, image_numbers
 from geomosaic.errors import InputError, counted, did_you_mean, listed, warn
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.local_frames import omega_phi_kappa
-from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
+from geomosaic.image_names import file_name, stem
+from geomosaic.inputs.tables import Row, Table, read_table
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces

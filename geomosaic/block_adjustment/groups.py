@@ -15,7 +15,8 @@ from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.errors import InputError, listed
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.local_frames import omega_phi_kappa
-from geomosaic.inputs.tables import find_by_name, read_table
+from geomosaic.image_names import find_by_name
+from geomosaic.inputs.tables import read_table
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.object_constraints import Distances

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geomosaic.block_adjustment.measurements import image_numbers
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.tables import file_name, stem
+from geomosaic.image_names import file_name, stem
 from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.raster.vector import read_layer
 from geomosaic.sensor.plugin import SensorModel

@@ -12,11 +12,11 @@ from geomosaic.block import ControlPoint
 from geomosaic.errors import HeightDatumError, InputError, counted, did_you_mean, listed, warn
 from geomosaic.geo.crs import has_heights, in_degrees
 from geomosaic.geo.transform import Transform
+from geomosaic.image_names import file_name, stem
 from geomosaic.inputs.control_diagnostics import refuse_misplaced
 from geomosaic.inputs.control_points import control_and_others, control_values, images_not_of_the_block
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.frames import positions_crs, undeclared_heights_error
-from geomosaic.inputs.tables import file_name, stem
 from geomosaic.inputs.tie_points import TiePoints
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.types import BoolArray, FloatArray, IntArray

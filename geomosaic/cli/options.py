@@ -38,9 +38,9 @@ class GroupedCommand(click.Command):
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             name = error.option_name.lstrip("-").replace("-", "_")
-            error.possibilities = [flag for one in self.params if one.name == name for flag in one.opts] or (
-                error.possibilities
-            )
+            if flags := [flag for one in self.params if one.name == name for flag in one.opts]:
+                said = f"{error.message} Did you mean '{' or '.join(flags)}'?"
+                raise click.NoSuchOption(error.option_name, said, ctx=ctx) from None
             raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -8,10 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-from geomosaic.control.parsing import delimiter_of, split
+from geomosaic.control.parsing import split
 from geomosaic.control.points import Origin
 from geomosaic.control.table import WORDS
 from geomosaic.errors import InputError
+from geomosaic.whole_files import delimiter_of
 
 # Header of a table that is begun.
 BEGUN = "id,x,y,z,image,col,row,sigma_px,role,enabled"

@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import PurePath
 
 import numpy as np
 from pyproj import CRS
@@ -16,6 +15,7 @@ from geomosaic import whole_files
 from geomosaic.control.points import ControlPoints, Origin
 from geomosaic.errors import InputError, did_you_mean
 from geomosaic.geo.crs import parse_crs
+from geomosaic.image_names import file_name, stem
 from geomosaic.types import PathLike
 
 
@@ -166,7 +166,7 @@ def choose_image(names: Sequence[str], image: str | None, path: str) -> set[str]
             raise InputError(f"the file has points of {images} images: {shown}", where=path, hint="name the image")
         return set(known)
     found = {name for name in known if _last(name) == _last(image)}
-    found = found or {name for name in known if _stem(name) == _stem(image)}
+    found = found or {name for name in known if stem(_last(name)) == stem(_last(image))}
     if not found:
         hint = did_you_mean(_last(image), [_last(name) for name in known])
         raise InputError(
@@ -178,12 +178,7 @@ def choose_image(names: Sequence[str], image: str | None, path: str) -> set[str]
 
 
 def _last(name: str) -> str:
-    return PurePath(name.replace("\\", "/")).name.casefold()
-
-
-def _stem(name: str) -> str:
-    base, dot, extension = _last(name).rpartition(".")
-    return base if dot and base and extension.isalnum() and not extension.isdigit() else _last(name)
+    return file_name(name).casefold()
 
 
 # Points of one image; nobody measures that many, and every finding on them is looked for in seconds.
@@ -215,18 +210,6 @@ def read_lines(path: PathLike) -> list[tuple[Origin, str]]:
     """
     lines = whole_files.read_lines(path, "list of control points")
     return [(Origin(str(path), number), line) for number, line in lines]
-
-
-def delimiter_of(header: str) -> str:
-    """Delimiter of a table: the most frequent of tab, semicolon and comma in its header, else a blank.
-
-    Parameters
-    ----------
-    header : str
-    """
-    counts = [(header.count(mark), mark) for mark in ("\t", ";", ",")]
-    most = max(counts, key=lambda pair: pair[0])
-    return most[1] if most[0] else " "
 
 
 def split(line: str, delimiter: str) -> tuple[str, ...]:

@@ -15,6 +15,13 @@ from geomosaic.types import BoolArray, FloatArray
 
 ROLES = ("control", "check")
 
+# Columns of ground coordinates, with other names that can mean nothing else.
+GROUND_NAMES = {
+    "x": ("easting", "east", "lon", "longitude", "mapx"),
+    "y": ("northing", "north", "lat", "latitude", "mapy"),
+    "z": ("height", "alt", "altitude", "elevation"),
+}
+
 
 def possible_covariances(covariance: FloatArray) -> BoolArray:
     """Whether matrices (N, 2, 2) are symmetric and positive definite, (N,); those with NaN, which are not told, count.

@@ -15,7 +15,6 @@ from geomosaic.control.parsing import (
     check_count,
     choose_image,
     control_of,
-    delimiter_of,
     ground_crs,
     has_decimal_commas,
     number,
@@ -30,6 +29,7 @@ from geomosaic.raster.environment import environment
 from geomosaic.raster.info import open_raster
 from geomosaic.stores.path import given_path, to_path
 from geomosaic.types import FloatArray, PathLike
+from geomosaic.whole_files import delimiter_of
 
 # Of newer and of older versions.
 HEADERS = (("mapx", "mapy", "sourcex", "sourcey"), ("mapx", "mapy", "pixelx", "pixely"))

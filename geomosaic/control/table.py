@@ -16,28 +16,26 @@ from geomosaic.control.parsing import (
     Reading,
     choose_image,
     control_of,
-    delimiter_of,
     ground_crs,
     has_decimal_commas,
     number,
     read_lines,
     split,
 )
-from geomosaic.control.points import ControlPoints, Origin
+from geomosaic.control.points import GROUND_NAMES, ControlPoints, Origin
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.units import linear_unit
 from geomosaic.types import FloatArray, PathLike
+from geomosaic.whole_files import delimiter_of
 
 NEEDED = ("x", "y", "col", "row")
 EXAMPLE = "id,x,y,z,image,col,row"
 # Columns, each with other names that can mean nothing else.
 WORDS: Mapping[str, tuple[str, ...]] = {
     "id": ("name", "point", "label", "gcp"),
-    "x": ("easting", "east", "lon", "longitude", "mapx"),
-    "y": ("northing", "north", "lat", "latitude", "mapy"),
-    "z": ("height", "alt", "altitude", "elevation"),
+    **GROUND_NAMES,
     "image": ("filename", "file", "photo", "imagename", "image_name"),
     "col": ("column", "drawing_x"),
     "row": ("line", "drawing_y"),

@@ -16,11 +16,12 @@ from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import GeomosaicError, HeightDatumError, InputError, SensorInputError, SolveError
 from geomosaic.geo.crs import has_heights
 from geomosaic.geo.transform import Transform
+from geomosaic.image_names import file_of_image
 from geomosaic.inputs.declarations import Block, read_camera
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
 from geomosaic.inputs.ground import DEM_MEMORY, OF_POSITIONS, build_surface, height_below, undeclared_positions
 from geomosaic.inputs.images import Photo, chosen_bands, photos_of, with_declared
-from geomosaic.inputs.tables import file_of_image, read_fiducials
+from geomosaic.inputs.tables import read_fiducials
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.inputs import known_inputs
 from geomosaic.sensor.plausibility import DATUMS, SkyError

@@ -15,8 +15,9 @@ from geomosaic.control.diagnostics import contradictions
 from geomosaic.control.points import ControlPoints, Origin, mean_sigmas, possible_covariances
 from geomosaic.control.table import FLAGS
 from geomosaic.errors import InputError, counted, did_you_mean, listed, warn
+from geomosaic.image_names import file_name, stem
 from geomosaic.inputs.images import Photo
-from geomosaic.inputs.tables import Row, Table, file_name, read_table, stem
+from geomosaic.inputs.tables import Row, Table, read_table
 from geomosaic.inputs.tie_points import covariances_of
 from geomosaic.orientation.planar.measurements import Control, PlanarBlock, PlanarPhoto, Tie
 from geomosaic.types import FloatArray, PathLike

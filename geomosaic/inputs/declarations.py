@@ -9,8 +9,8 @@ from typing import Any
 
 from geomosaic.control.points import ControlPoints
 from geomosaic.errors import InputError, did_you_mean, warn
+from geomosaic.image_names import file_of_image
 from geomosaic.inputs.exterior_orientation import Exterior, ExteriorTable, exterior_values
-from geomosaic.inputs.tables import file_of_image
 from geomosaic.options.inputs import CRS_FILES, GEOID_FILES, BlockInputs
 from geomosaic.sensor.inputs import camera_file
 from geomosaic.sensor.registry import check_camera, plane_sensor

@@ -17,7 +17,8 @@ from pyproj import CRS
 
 from geomosaic.errors import InputError, did_you_mean, warn
 from geomosaic.geo.crs import parse_crs
-from geomosaic.inputs.tables import Row, Table, find_by_name, missing_row, read_table, stem
+from geomosaic.image_names import find_by_name, missing_row, stem
+from geomosaic.inputs.tables import Row, Table, read_table
 from geomosaic.types import FloatArray, PathLike
 
 MATRIX = tuple(f"r{row}{col}" for row in (1, 2, 3) for col in (1, 2, 3))

@@ -16,6 +16,7 @@ from geomosaic.errors import InputError, counted, listed, warn
 from geomosaic.geo.crs import horizontal, is_local
 from geomosaic.geo.grid import Grid
 from geomosaic.geo.projection_domain import whole_turn
+from geomosaic.image_names import file_of_image, find_by_name
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTIONS,
@@ -26,7 +27,7 @@ from geomosaic.inputs.exterior_orientation import (
     read_exterior,
 )
 from geomosaic.inputs.frames import positions_crs
-from geomosaic.inputs.tables import file_of_image, find_by_name, read_table
+from geomosaic.inputs.tables import read_table
 from geomosaic.raster.info import SourceInfo, control_point_count, inspect
 
 

@@ -16,8 +16,9 @@ import numpy as np
 
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.local_frames import r1, r2, r3
+from geomosaic.image_names import stem
 from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
-from geomosaic.inputs.tables import fields_of, stem
+from geomosaic.inputs.tables import fields_of
 from geomosaic.options.inputs import ListingLayout
 from geomosaic.types import FloatArray
 from geomosaic.whole_files import read_lines

@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import csv
 import math
-import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
-from pathlib import Path, PurePath
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from geomosaic import whole_files
-from geomosaic.errors import InputError, counted, did_you_mean
-from geomosaic.stores.path import to_path
+from geomosaic.control.points import GROUND_NAMES
+from geomosaic.errors import InputError, counted
+from geomosaic.image_names import find_by_name, missing_row
 from geomosaic.types import FloatArray, IntArray, PathLike
-from geomosaic.whole_files import LARGEST_TEXT, LARGEST_TIES, read_lines
+from geomosaic.whole_files import LARGEST_TEXT, LARGEST_TIES, delimiter_of, read_lines
 
 _OTHER_NAMES = {
     "image": ("filename", "file", "photo", "label", "imagename", "image_name"),
-    "x": ("easting", "east", "lon", "longitude", "mapx"),
-    "y": ("northing", "north", "lat", "latitude", "mapy"),
-    "z": ("height", "alt", "altitude", "elevation"),
+    **GROUND_NAMES,
     "col": ("column",),
     "row": ("line",),
 }
@@ -164,7 +161,7 @@ def _headed(
     below = [(number, line) for number, line in lines[header_at + 1 :] if not line.lstrip().startswith("#")]
     if not below:
         raise InputError(f"the {what} has a header but no rows", where=str(path), hint="add a line for each row")
-    return below, columns, _delimiter(text)
+    return below, columns, delimiter_of(text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,18 +250,10 @@ def _row(path: str, number: int, line: str, delimiter: str, columns: list[str]) 
 
 
 def _names(header: str, where: str) -> list[str]:
-    names = [name.strip().lower() for name in _split(header, _delimiter(header), where)]
+    names = [name.strip().lower() for name in _split(header, delimiter_of(header), where)]
     while names and not names[-1]:
         names.pop()
     return [_ALIASES.get(name, name) for name in names]
-
-
-def _delimiter(header: str) -> str:
-    # Delimiters within quotes belong to a name.
-    bare = "".join(part for i, part in enumerate(header.replace("'", '"').split('"')) if i % 2 == 0)
-    counts = [(bare.count(mark), mark) for mark in ("\t", ";", ",")]
-    most = max(counts, key=lambda pair: pair[0])
-    return most[1] if most[0] else " "
 
 
 def _split(line: str, delimiter: str, where: str) -> list[str]:
@@ -365,89 +354,3 @@ def read_fiducials(path: PathLike, images: Sequence[str]) -> dict[str, dict[str,
             raise missing_row(str(path), image, rows)
         found[image] = measured
     return found
-
-
-Value = TypeVar("Value")
-
-
-def stem(name: str) -> str:
-    """Name of an image without folders and extension; slashes may be of either kind.
-
-    Parameters
-    ----------
-    name : str
-    """
-    # Only what looks like an extension is cut: 'IMG_0.5' keeps its '.5'.
-    last = PurePath(name.replace("\\", "/")).name
-    base, dot, extension = last.rpartition(".")
-    return base if dot and base and extension.isalnum() and not extension.isdigit() else last
-
-
-def file_name(name: str) -> str:
-    """File name without folders in Unicode normal form C, for comparisons.
-
-    Parameters
-    ----------
-    name : str
-        Slashes may be of either kind.
-    """
-    # File systems of Macs separate letters from their accents (form D), tables do not.
-    return unicodedata.normalize("NFC", PurePath(name.replace("\\", "/")).name)
-
-
-def file_of_image(pattern: str, image: str) -> Path:
-    """File that belongs to an image, by a pattern: its correction grid, its cloud mask.
-
-    Parameters
-    ----------
-    pattern : str
-        Path in which '{image}' is replaced by the image's name without folder and extension.
-    image : str
-    """
-    return to_path(pattern.replace("{image}", stem(image)))
-
-
-def find_by_name(rows: Mapping[str, Value], image: str) -> Value | None:
-    """Entry of a table for an image, by its file name, else with the extension of either left off.
-
-    Parameters
-    ----------
-    rows : mapping
-        Entries by image name as written.
-    image : str
-        Name or path.
-    """
-    last = file_name(image)
-    for key, value in rows.items():
-        if file_name(key) == last:
-            return value
-    bare = stem(last)
-    for key, value in rows.items():
-        if bare in (file_name(key), stem(file_name(key))):
-            return value
-    return None
-
-
-def missing_row(path: str, image: str, known: Iterable[str]) -> InputError:
-    """Error about a table without a row for an image.
-
-    Parameters
-    ----------
-    path : str
-        Table.
-    image : str
-        Name or path.
-    known : iterable of str
-        Names in the table, for the hint.
-
-    Returns
-    -------
-    InputError
-        To be raised by the caller.
-    """
-    hint = did_you_mean(stem(image), known)
-    return InputError(
-        f"the table has no row for {PurePath(image).name}",
-        where=path,
-        hint=f"{hint} Add the row, or leave the image out" if hint else "add the row, or leave the image out",
-    )

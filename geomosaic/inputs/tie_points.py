@@ -10,7 +10,8 @@ import numpy as np
 
 from geomosaic.control.points import mean_sigmas, possible_covariances
 from geomosaic.errors import InputError
-from geomosaic.inputs.tables import find_by_name, read_columns, read_table
+from geomosaic.image_names import find_by_name
+from geomosaic.inputs.tables import read_columns, read_table
 from geomosaic.interchange.formats import format_of, read_reconstruction
 from geomosaic.interchange.reconstruction import Reconstruction
 from geomosaic.stores.path import given_path, to_path

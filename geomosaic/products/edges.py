@@ -14,10 +14,11 @@ from pyproj import CRS
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, SolveError, counted, warn
 from geomosaic.geo.crs import parse_map
+from geomosaic.image_names import stem
 from geomosaic.inputs.area import plan
 from geomosaic.inputs.control_points import check_control, read_control
 from geomosaic.inputs.declarations import image_paths
-from geomosaic.inputs.tables import read_table, stem
+from geomosaic.inputs.tables import read_table
 from geomosaic.mosaicking.mosaic import mosaic
 from geomosaic.mosaicking.records import MosaicResult
 from geomosaic.options.declaration import compose

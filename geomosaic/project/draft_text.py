@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geomosaic.errors import InputError
+from geomosaic.image_names import stem
 from geomosaic.inputs.declarations import Block, file_of
 from geomosaic.inputs.exterior_orientation import (
     RECONSTRUCTION_SYSTEM,
@@ -16,7 +17,6 @@ from geomosaic.inputs.exterior_orientation import (
     undeclared_reconstruction,
 )
 from geomosaic.inputs.summary import known_capabilities, takes_positions, undeclared_heights
-from geomosaic.inputs.tables import stem
 from geomosaic.options.inputs import ANGLE_SYSTEMS, CORNER_SIGMA_PX, CRS_FILES, GEOID_FILES, PlanarInputs
 from geomosaic.options.mosaic import TERMS
 from geomosaic.project.photo_block import NOWHERE, EmbeddedInputs

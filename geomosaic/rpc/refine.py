@@ -16,8 +16,9 @@ from pyproj import CRS
 from geomosaic.block import ControlPoint, OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, SolveError, default_where
 from geomosaic.geo.transform import Transform
+from geomosaic.image_names import stem
 from geomosaic.inputs.adjusted import AdjustedImage, adjustment_facts
-from geomosaic.inputs.tables import read_table, stem
+from geomosaic.inputs.tables import read_table
 from geomosaic.options.control import TieOptions
 from geomosaic.sensor.corrected import Corrected, CorrectionGrid, left_out
 from geomosaic.sensor.plausibility import require_vertical_datum

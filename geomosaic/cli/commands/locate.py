@@ -97,7 +97,7 @@ def _scene(image: Path, name: str | None, inputs: dict[str, Any]) -> Block:
         return block_of((image,), inputs)
     if inputs:
         raise click.UsageError("the project file says the inputs: leave out the options of the sensor and the ground")
-    from geomosaic.inputs.tables import find_by_name
+    from geomosaic.image_names import find_by_name
     from geomosaic.project.load import load_project
     from geomosaic.project.scenes import project_scene
 

@@ -12,7 +12,8 @@ from pyproj import CRS
 from geomosaic.block_adjustment.image_residuals import ImageResiduals
 from geomosaic.errors import InputError
 from geomosaic.geo.units import axis_unit
-from geomosaic.inputs.tables import find_by_name, read_table
+from geomosaic.image_names import find_by_name
+from geomosaic.inputs.tables import read_table
 from geomosaic.jobs.manifest import Layout
 from geomosaic.orientation.block.flight_lines import flight_lines
 from geomosaic.project.commented_images import commented_images, with_commented_image
