@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import rasterio
+from pyproj import CRS
 from radar_hills_rig import Facets, Land
 from sar_rig import Scene
 
@@ -18,6 +19,7 @@ from geomosaic.cli.main import run
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Window
 from geomosaic.inputs.build import build_block
+from geomosaic.products.simulation import SimulationMatch
 from geomosaic.render.illuminated_area import IlluminatedArea
 
 MOVED = np.array([20.0, 12.0])
@@ -104,6 +106,11 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[gm.Scene, Downs]:
     return gm.Scene(path, "sar", dem=folder / "dem.tif", dem_heights="ellipsoidal"), land
 
 
+@pytest.fixture(scope="module")
+def alone(small: tuple[gm.Scene, Downs]) -> SimulationMatch:
+    return gm.match_simulation(small[0], tile=64)
+
+
 def test_a_moved_scene_is_found_within_what_its_speckle_allows(
     small: tuple[gm.Scene, Downs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -163,7 +170,9 @@ def test_a_scene_of_other_land_is_not_found(small: tuple[gm.Scene, Downs], tmp_p
         gm.match_simulation(replace(given, images=(tmp_path / "scene.tif",)), tile=60)
 
 
-def test_the_declared_band_is_matched_and_no_other(small: tuple[gm.Scene, Downs], tmp_path: Path) -> None:
+def test_the_declared_band_is_matched_and_no_other(
+    small: tuple[gm.Scene, Downs], alone: SimulationMatch, tmp_path: Path
+) -> None:
     given, land = small
     with rasterio.open(given.images[0]) as file:
         amplitude = file.read(1)
@@ -175,7 +184,6 @@ def test_the_declared_band_is_matched_and_no_other(small: tuple[gm.Scene, Downs]
         file.write(np.stack([noise, amplitude]))
     land.scene.write(tmp_path, "scene")
     second = gm.match_simulation(replace(given, images=(tmp_path / "scene.tif",), bands=[2]), tile=64)
-    alone = gm.match_simulation(given, tile=64)
     assert np.array_equal(second.shift, alone.shift)
     assert f"EPSG:{land.zone}, heights in the vertical datum of the DEM" in alone.summary
 
@@ -191,6 +199,12 @@ def test_a_scene_too_small_for_its_windows_and_a_dem_elsewhere_are_told(
     land.scene.left().write(tmp_path, "scene")
     with pytest.raises(InputError, match="no ground where the orbit puts the scene"):
         gm.match_simulation(replace(given, images=(tmp_path / "scene.tif",)), tile=64)
+
+
+def test_ground_in_degrees_is_written_as_finely_as_it_was_found(alone: SimulationMatch, tmp_path: Path) -> None:
+    found = replace(alone, control=alone.control.to_crs(CRS.from_epsg(4979)))
+    x, y = np.loadtxt(found.write(tmp_path / "control.csv"), delimiter=",", skiprows=1, usecols=(1, 2)).T
+    assert np.abs(np.column_stack([x, y]) - found.control.ground[:, :2]).max() < 1e-9
 
 
 def test_windows_beyond_the_edge_of_the_dem_are_left_out(small: tuple[gm.Scene, Downs], tmp_path: Path) -> None:

@@ -29,10 +29,10 @@ def write_control(path: PathLike, control: Mapping[str, ControlPoints], crs: CRS
     crs : CRS, optional
         3-D, of the coordinates; their own unless given.
     """
-    digits = 10 if crs is not None and in_degrees(crs) else 4
     lines = [",".join((*COLUMNS, *ACCURACY))]
     for image, found in control.items():
         points = found if crs is None else found.to_crs(crs)
+        digits = 10 if in_degrees(points.crs) else 4
         sigmas = np.zeros((len(points), 3)) if points.sigma_ground is None else points.sigma_ground
         accuracy = np.column_stack([*accuracy_columns(points.sigma, points.covariance).values()]).tolist()
         rows = np.column_stack([points.ground, points.colrow, sigmas[:, [0, 2]]]).tolist()
