@@ -7,6 +7,7 @@ import pickle
 import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +46,6 @@ def mosaic(folder: Path, **options: Any) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def by_threads(tmp_path_factory) -> dict[str, bytes]:
-    """What one thread makes."""
-    return mosaic(tmp_path_factory.mktemp("threads") / "one", threads=1)
-
-
-@pytest.fixture(scope="module")
 def client(tmp_path_factory) -> Iterator[Any]:
     """Client of a Dask cluster of two processes on this machine."""
     distributed = pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
@@ -79,14 +74,21 @@ def test_workers_of_another_version_are_refused_by_name(client, monkeypatch, tmp
         packing.unpacked(work)
 
 
-def test_a_cluster_makes_the_bytes_of_one_thread_though_a_worker_is_killed(client, by_threads, tmp_path) -> None:
+def test_a_cluster_makes_the_sample_of_one_thread_though_a_worker_is_killed(client, tmp_path) -> None:
+    """All twelve photos."""
+    sample = replace(BLOCK, images=sorted((SAMPLE / "photos").glob("*.jpg")))
+    assert len(sample.images) == 12
     victims = list(client.run(os.getpid).values())[:1]
 
     def kill(done: int, total: int, stage: str) -> None:
         if stage == "mosaic" and victims:
             os.kill(victims.pop(), signal.SIGKILL)
 
-    assert mosaic(tmp_path / "killed", workers=client, progress=kill) == by_threads
+    place = {"resolution": 1.5, "tile": 1024, "vectors": False, "colour": "gain"}  # six units
+    for name, how in (("one", {"threads": 1}), ("killed", {"workers": client, "progress": kill})):
+        (tmp_path / name).mkdir()
+        gm.mosaic(sample, tmp_path / name / "m.tif", **place, **how)
+    assert rasters(tmp_path / "killed") == rasters(tmp_path / "one")
     assert not victims
 
 
