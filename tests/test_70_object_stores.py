@@ -12,6 +12,7 @@ from rigs.object_store import NO_AZURITE, Proxy, azurite, azurite_server, web_se
 
 import geomosaic as gm
 from geomosaic.cli.main import run
+from geomosaic.errors import Interrupted
 from geomosaic.stores import clients, objects
 from geomosaic.stores.path import StorePath, given_path
 
@@ -79,6 +80,28 @@ def test_objects_of_the_library_are_read_from_a_store(sample: Proxy) -> None:
     here, there = (gm.read_control(path, image=PHOTOS[0], crs="EPSG:32633") for path in both)
     assert here.names == there.names
     assert (here.colrow == there.colrow).all()
+
+
+def test_tiles_in_a_store_are_kept_by_the_run_that_goes_on(object_store: Proxy, tmp_path: Path) -> None:
+    given = {"resolution": 0.8, "bounds": (399300.0, 5500300.0, 401400.0, 5500400.0), "tiling": "1024px"}
+    given |= {"balance": False, "threads": 1}
+
+    def stop(done: int, total: int, stage: str) -> None:
+        if stage == "mosaic" and done > 1:
+            raise Interrupted("stopped")
+
+    with pytest.raises(Interrupted):
+        gm.mosaic(_block(_sample), "s3://tests/tiled/m.vrt", progress=stop, **given)
+    assert not given_path("s3://tests/tiled/m.vrt").exists()
+    object_store.seen.clear()
+    there = gm.mosaic(_block(_sample), "s3://tests/tiled/m.vrt", **given)
+    assert (there.reused, there.units) == (1, 3)
+    sent = {one.path for one in object_store.seen if one.method == "PUT"}
+    assert "/tests/tiled/m-tiles/m-r000-c001.tif" in sent
+    assert "/tests/tiled/m-tiles/m-r000-c000.tif" not in sent
+    gm.mosaic(_block(_sample), tmp_path / "m.vrt", **given)
+    names = [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*") if path.suffix in (".tif", ".vrt")]
+    _same(tmp_path, "s3://tests/tiled", names)
 
 
 @pytest.mark.slow

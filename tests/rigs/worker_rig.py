@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -102,11 +102,7 @@ def cluster(
             yield client, running
     finally:
         for process in reversed(running):
-            process.terminate()
-        for process in reversed(running):
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(5)
-            process.kill()
+            process.kill()  # the worker of a nanny ends with it
             process.wait()
 
 
