@@ -84,7 +84,7 @@ def test_objects_of_the_library_are_read_from_a_store(sample: Proxy) -> None:
 
 def test_tiles_in_a_store_are_kept_by_the_run_that_goes_on(object_store: Proxy, tmp_path: Path) -> None:
     given = {"resolution": 0.8, "bounds": (399300.0, 5500300.0, 401400.0, 5500400.0), "tiling": "1024px"}
-    given |= {"balance": False, "threads": 1}
+    given |= {"balance": False, "vectors": False, "threads": 1}
 
     def stop(done: int, total: int, stage: str) -> None:
         if stage == "mosaic" and done > 1:

@@ -108,7 +108,8 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = (), ge
     """
     if isinstance(path, StorePath):
         path.check_writable()
-    if path.exists() and any(file.exists() and path.samefile(file) for file in inputs):
+    exists = path.exists()  # asked once: in a store it is a request
+    if exists and any(file.exists() and path.samefile(file) for file in inputs):
         raise InputError("the output is one of the inputs", where=str(path), hint="give another name for the output")
     if geotiff and path.suffix.lower() in _OTHER_FORMATS:
         raise InputError(
@@ -116,15 +117,15 @@ def check_output(path: Path, *, overwrite: bool, inputs: Iterable[Path] = (), ge
             where=str(path),
             hint=f"call it {path.stem}.tif; gdal_translate makes other formats of it",
         )
-    if path.exists() and not (path.is_dir() or path.is_file()):
-        raise InputError("the output is no ordinary file", where=str(path), hint="give another name")
-    if path.is_dir():
+    if exists and path.is_dir():
         raise InputError("the output is a folder", where=str(path), hint="give the name of a file in it")
+    if exists and not path.is_file():
+        raise InputError("the output is no ordinary file", where=str(path), hint="give another name")
     if not isinstance(path, StorePath) and not path.parent.is_dir():
         raise InputError(
             "the folder of the output does not exist", where=str(path), hint="make it, or give another path"
         )
-    if path.exists() and not overwrite:
+    if exists and not overwrite:
         raise OutputExistsError("the output exists", where=str(path), hint="give another name, or `overwrite`")
     if (journal := _filled_journal(path)) is not None:
         # Readers would put the journal of the old file into the new one, page by page, and show neither.

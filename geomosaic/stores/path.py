@@ -99,10 +99,10 @@ class StorePath(_Base):  # type: ignore[misc]
     def is_dir(self, *, follow_symlinks: bool = True) -> bool:
         """Whether objects lie below; never of an object."""
         name = self.name_in_store
-        if name.scheme.startswith("http") or self.is_file():  # the web lists nothing
+        if name.scheme.startswith("http"):  # the web lists nothing
             return False
         try:
-            return any(map(bool, _objects().children(name)))
+            return any(map(bool, _objects().children(name))) and not self.is_file()
         except FileNotFoundError:
             return False
 
