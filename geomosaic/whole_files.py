@@ -1,9 +1,10 @@
-"""Text files: read whole and within bounds; written whole or not at all, whatever happens."""
+"""Files: read whole and within bounds; written whole or not at all, whatever happens."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import math
 import os
 import platform
@@ -62,6 +63,8 @@ def relative_path(path: Path, folder: Path) -> str:
         return path.absolute().as_posix()
 
 
+# Bytes of metadata of a scene, the largest of which list every column.
+LARGEST_FILE = 256 << 20
 # Bytes. No table of orientations or points is that long: a raster given by mistake is not read into memory.
 LARGEST_TEXT = 64 << 20
 # Bytes of a file of settings, which people write by hand.
@@ -98,8 +101,8 @@ def check_rows(count: int, where: str, most: int | None = None) -> None:
         raise InputError(f"more than {most:,} rows", where=where, hint="is it the right file? if so, cut it into parts")
 
 
-def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
-    """Text of a UTF-8 file of limited size; a byte order mark is dropped.
+def read_bytes(path: PathLike, what: str, largest: int = LARGEST_FILE) -> bytes:
+    """Content of a file of limited size.
 
     Parameters
     ----------
@@ -112,7 +115,7 @@ def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
     Raises
     ------
     InputError
-        The file is missing, a folder, too large or no UTF-8 text.
+        The file is missing, a folder, too large or unreadable.
     """
     file = to_path(path)
     try:
@@ -120,19 +123,36 @@ def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
             raise InputError(
                 f"the {what} is larger than {largest >> 20} MB", where=str(path), hint="is it the right file?"
             )
-        return file.read_text(encoding="utf-8-sig")
+        return file.read_bytes()
     except FileNotFoundError:
         raise InputError(f"the {what} does not exist", where=str(path), hint="check the path") from None
     except IsADirectoryError:
         raise InputError(f"the {what} is a folder", where=str(path), hint="give a file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"the {what} is not UTF-8 text (byte {error.start})", where=str(path), hint="save it as UTF-8 text"
-        ) from None
     except OSError as error:
         raise InputError(
             f"the {what} cannot be read: {error.strerror}", where=str(path), hint="check the permission to read it"
         ) from error
+
+
+def read_text(path: PathLike, what: str, largest: int = LARGEST_TEXT) -> str:
+    """Text of a UTF-8 file of limited size; a byte order mark is dropped.
+
+    Parameters
+    ----------
+    path, what, largest
+        As for `read_bytes`.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`; or it is no UTF-8 text.
+    """
+    try:
+        return io.TextIOWrapper(io.BytesIO(read_bytes(path, what, largest)), encoding="utf-8-sig").read()
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"the {what} is not UTF-8 text (byte {error.start})", where=str(path), hint="save it as UTF-8 text"
+        ) from None
 
 
 def read_toml(path: PathLike, what: str, largest: int = LARGEST_TABLE) -> dict[str, Any]:

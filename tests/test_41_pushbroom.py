@@ -289,7 +289,7 @@ def test_bad_metadata_are_refused_by_name(tmp_path: Path, text: str, words: str)
     [
         ({"size": (100, 100)}, "3000 x 3000"),
         ({"size": (100, 100), "offset": [2950, 0]}, "reach beyond"),
-        ({"metadata": "lost.dim"}, "cannot be read"),
+        ({"metadata": "lost.dim"}, "does not exist"),
         ({"metadata": "none"}, "neither metadata nor a track"),
         ({"metadata": 3}, "not a file name"),
         ({"band": 7}, "no look angles of band 7"),

@@ -6,8 +6,10 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
+from geomosaic import whole_files
 from geomosaic.errors import InputError, default_hint
 from geomosaic.stores.path import to_path
+from geomosaic.whole_files import LARGEST_FILE
 from geomosaic_pushbroom.dimap2 import CHARACTERISTICS, REFINED, read_pleiades, read_refined
 from geomosaic_pushbroom.reported import SceneMetadata, parse_dimap
 from geomosaic_pushbroom.spot import read_ossim, read_spot
@@ -19,7 +21,6 @@ _PRODUCTS = (b"Dimap_Document", f"<{ROOT}>".encode())
 _SIZES = ((rb"<NCOLS>\s*(\d+)", rb"<NROWS>\s*(\d+)"), (rb"<NUMCOLUMNS>\s*(\d+)", rb"<NUMROWS>\s*(\d+)"))
 # Files of a folder that are looked at; products have some ten of them.
 _MOST = 50
-_LARGEST = 256 * 2**20
 
 
 def find_beside(image: str | None) -> Path | None:
@@ -63,7 +64,7 @@ def metadata_in_folder(image: str | None) -> dict[Path, tuple[int, int] | None]:
     found: dict[Path, tuple[int, int] | None] = {}
     for file in files:
         with suppress(OSError):
-            data = file.read_bytes() if file.stat().st_size <= _LARGEST // 8 else b""
+            data = file.read_bytes() if file.stat().st_size <= LARGEST_FILE // 8 else b""
             sizes = [[re.search(name, data) for name in names] for names in _SIZES]
             known = next(((int(w[1]), int(h[1])) for w, h in sizes if w and h), None)
             if any(mark in data[:4096] for mark in _PRODUCTS):
@@ -85,16 +86,7 @@ def read_metadata(path: Path, band: str | None = None) -> SceneMetadata:
     InputError
         The file cannot be read, is damaged, or holds no physical model.
     """
-    where = str(path)
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(
-                "the file is too large to be metadata", where=where, hint="give the metadata of the product"
-            )
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"the metadata cannot be read ({error})", where=where, hint="check the name") from error
-    return read_bytes(data, where, band)
+    return read_bytes(whole_files.read_bytes(path, "file of metadata"), str(path), band)
 
 
 def read_bytes(data: bytes, where: str, band: str | None = None) -> SceneMetadata:

@@ -20,6 +20,7 @@ from geomosaic.sensor.plausibility import require_vertical_datum
 from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.stores.path import to_path
 from geomosaic.types import FloatArray
+from geomosaic.whole_files import read_bytes
 from geomosaic_rpc.coefficients import Rpc
 from geomosaic_rpc.formats import POLYNOMIALS, SCALARS, RpcFields, ossim, rpb, rpc_number, rpc_txt, rpc_xml
 from geomosaic_rpc.model import KINDS, WGS84, RpcModel
@@ -47,20 +48,7 @@ def read_rpc(path: Path) -> RpcFields:
     InputError
         The file cannot be read, is of no known format, or its RPC is damaged.
     """
-    where = str(path)
-    try:
-        if path.stat().st_size > LARGEST:
-            raise InputError(
-                f"the file has more than {LARGEST >> 20} MB: this is no RPC file",
-                where=where,
-                hint="give the RPC file of the scene",
-            )
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"the RPC file cannot be read ({error.strerror})", where=where, hint="check the path"
-        ) from error
-    return read_rpc_bytes(data, where)
+    return read_rpc_bytes(read_bytes(path, "RPC file", LARGEST), str(path))
 
 
 def read_rpc_bytes(data: bytes, where: str) -> RpcFields:

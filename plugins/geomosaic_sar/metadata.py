@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from geomosaic import whole_files
 from geomosaic.errors import InputError, default_hint
 from geomosaic.sensor.inputs import parse_xml
 from geomosaic.stores.path import to_path
@@ -15,7 +16,6 @@ from geomosaic_sar.terrasar import ROOT as TERRASAR
 from geomosaic_sar.terrasar import read_terrasar
 
 TABLE = ".radar.json"
-_LARGEST = 256 * 2**20
 
 
 def find_beside(image: str | None) -> Path | None:
@@ -56,16 +56,7 @@ def read_metadata(path: Path) -> RadarScene:
     InputError
         The file cannot be read, is damaged, or of a product that is not taken; says why.
     """
-    where = str(path)
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(
-                "the file is too large to be metadata", where=where, hint="give the metadata of the product"
-            )
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"the metadata cannot be read ({error})", where=where, hint="check the name") from error
-    return read_bytes(data, where)
+    return read_bytes(whole_files.read_bytes(path, "file of metadata"), str(path))
 
 
 def read_bytes(data: bytes, where: str) -> RadarScene:

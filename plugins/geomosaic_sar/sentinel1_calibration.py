@@ -17,11 +17,11 @@ import numpy as np
 from geomosaic.errors import InputError, default_hint
 from geomosaic.sensor.inputs import parse_xml
 from geomosaic.types import FloatArray
+from geomosaic.whole_files import LARGEST_FILE
 from geomosaic_sar.annotation import AGAIN, coefficients, number, text
 from geomosaic_sar.calibration import FLATTENED, NoiseBlock, PixelTable, SarCalibration, ThermalNoise
 
 _TABLES = {"beta0": "betaNought", "sigma0": "sigmaNought", "gamma0": "gamma", FLATTENED: "betaNought"}
-_LARGEST = 256 * 2**20
 
 
 def calibration_files(annotation: Path) -> tuple[Path, Path]:
@@ -66,7 +66,7 @@ def read_calibration(annotation: Path, polarisation: str, kind: str, *, denoised
 
 def _content(file: Path, what: str, without: str) -> bytes:
     try:
-        if file.stat().st_size > _LARGEST:
+        if file.stat().st_size > LARGEST_FILE:
             raise InputError(f"the file is too large to hold the {what} of a product", where=str(file), hint=AGAIN)
         return file.read_bytes()
     except OSError as error:
