@@ -142,7 +142,7 @@ def test_matrix_is_refused_where_it_is_no_rotation() -> None:
     m = omega_phi_kappa(0.02, -0.03, 2.5)
     angles = {"omega": math.degrees(0.02), "phi": math.degrees(-0.03), "kappa": math.degrees(2.5)}
     for row, words in (
-        ({"matrix": "ground_to_image", **printed(m, 5)}, "not a rotation"),
+        ({"matrix": "ground_to_image", **printed(m, 5)}, "no rotation"),
         ({"matrix": "ground_to_image", **printed(m * [[1], [1], [-1]])}, "mirror"),
         ({**printed(m)}, "'matrix' is missing"),
         ({"matrix": "image_to_ground", **printed(m), **angles}, "disagree"),

@@ -66,16 +66,32 @@ def r3(angle: float) -> FloatArray:
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def require_rotation(matrix: FloatArray, what: str, where: str, most: float = 1e-5) -> None:
-    """Check that a matrix (3, 3) of a file is a rotation, but for the digits it is printed with.
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """Rotation nearest to a matrix (3, 3) by least squares, by singular values (Wahba 1965).
+
+    Parameters
+    ----------
+    matrix : array (3, 3)
+    """
+    u, _, v = np.linalg.svd(matrix)
+    rotation: FloatArray = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+    return rotation
+
+
+def require_rotation(
+    matrix: FloatArray, what: str, where: str, most: float = 1e-5, hint: str | None = None
+) -> FloatArray:
+    """Rotation nearest to a matrix (3, 3) of a file, which must be one but for the digits it is printed with.
 
     Parameters
     ----------
     matrix : array (3, 3)
     what, where : str
-        Named in errors; what to do about it is for the reader of the file to say.
+        Named in errors.
     most : float
         Largest deviation from orthonormal rows.
+    hint : str, optional
+        What to do about it; else it is for the reader of the file to say.
 
     Raises
     ------
@@ -85,7 +101,8 @@ def require_rotation(matrix: FloatArray, what: str, where: str, most: float = 1e
     off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if off > most or np.linalg.det(matrix) < 0.0:
         what = f"{what} is no rotation: its rows are off orthonormal by {off:.1e}, or mirrored"
-        raise InputError(what, where=where, hint=None)
+        raise InputError(what, where=where, hint=hint)
+    return nearest_rotation(matrix)
 
 
 def omega_phi_kappa(omega: float, phi: float, kappa: float) -> FloatArray:

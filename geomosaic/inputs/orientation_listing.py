@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from geomosaic.errors import InputError, counted
-from geomosaic.geo.local_frames import r1, r2, r3
+from geomosaic.geo.local_frames import r1, r2, r3, require_rotation
 from geomosaic.image_names import stem
 from geomosaic.inputs.exterior_orientation import MATRIX, TO_DEGREES, ExteriorRow, ExteriorTable
 from geomosaic.inputs.tables import fields_of
@@ -74,7 +74,8 @@ def read_listing(path: Path, how: ListingLayout, unit: str | None, direction: st
             if printed is not None:
                 _compare(rotation, printed, angles, here)
         else:
-            rotation = _nearest(printed, here) if printed is not None else np.eye(3)
+            mend = "check the order of the columns"
+            rotation = np.eye(3) if printed is None else require_rotation(printed, "r11 to r33", here, _AGREE, mend)
         # The rotation leads to the declared image axes; the transpose of these axes leads on to x right, y up.
         elements = dict(zip(MATRIX, (to_image.T @ rotation).ravel().tolist(), strict=True))
         rows[name] = ExteriorRow(name, (values["x"], values["y"], values["z"]), elements, line)
@@ -182,22 +183,6 @@ def _compare(rotation: FloatArray, printed: FloatArray, angles: Mapping[str, flo
             hint = f"they agree with sequence = {list(sequence)} and angles of the other sense"
             break
     raise InputError(f"the angles and the printed matrix disagree by {off:.1e} in an element", where=where, hint=hint)
-
-
-def _nearest(printed: FloatArray, where: str) -> FloatArray:
-    """Nearest rotation to a printed matrix."""
-    off = float(np.abs(printed @ printed.T - np.eye(3)).max())
-    if off > _AGREE or np.linalg.det(printed) < 0.0:
-        raise InputError(
-            f"r11 to r33 are no rotation: rows are off orthonormal by {off:.1e}, determinant "
-            f"{np.linalg.det(printed):+.3f}",
-            where=where,
-            hint="check the order of the columns",
-        )
-    # Printed elements have few digits: the nearest orthogonal matrix by least squares (orthogonal Procrustes).
-    left, _, right = np.linalg.svd(printed)
-    rotation: FloatArray = left @ right
-    return rotation
 
 
 def _number(text: str, key: str, where: str) -> float:

@@ -103,14 +103,12 @@ def _camera(sensor: Element, where: str) -> dict[str, Any]:
 def _row(outside: Element, where: str) -> dict[str, Any]:
     rows = [[_number(outside, f"rotation/mat3d/l{i}/pt3d/{axis}", where) for axis in "xyz"] for i in (1, 2, 3)]
     matrix = np.array(rows)
-    require_rotation(matrix, "<mat3d>", where, _ORTHONORMAL)
+    nearest = require_rotation(matrix, "<mat3d>", where, _ORTHONORMAL)
     direction = (outside.findtext("rotation/Image2Ground") or "").strip().lower()
     if direction not in ("true", "false"):
         raise InputError(
             "nothing says which way <mat3d> turns: <Image2Ground> is missing", where=where, hint="write true or false"
         )
-    left, _, right = np.linalg.svd(matrix)
-    nearest = left @ right
     to_image = nearest.T if direction == "true" else nearest
     position = [_number(outside, f"sommet/{name}", where) for name in ("easting", "northing", "altitude")]
     return {"system": "ori", "rotation": to_image.ravel().tolist(), "position": position}

@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS
 
 from geomosaic.errors import InputError
-from geomosaic.geo.local_frames import angle_axis, omega_phi_kappa, r1, r2, r3
+from geomosaic.geo.local_frames import angle_axis, omega_phi_kappa, r1, r2, r3, require_rotation
 from geomosaic.sensor.inputs import choice, known_keys, need, number, numbers
 from geomosaic.types import FloatArray
 from geomosaic_frame.other_programs import read_pose
@@ -146,21 +146,9 @@ def _matrix(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
     )
     values = [number(need(row, key, where, "an element of the rotation matrix"), key, where) for key in MATRIX]
     printed = np.array(values).reshape(3, 3)
-    worst = float(np.abs(printed @ printed.T - np.eye(3)).max())
-    if worst > 1e-6:
-        raise InputError(
-            f"r11 to r33 are not a rotation: rows are off orthonormal by {worst:.1e}, more than 1e-6",
-            where=where,
-            hint="give the elements row by row with at least 7 decimals",
-        )
-    if np.linalg.det(printed) < 0.0:
-        raise InputError(
-            "r11 to r33 mirror the image (determinant -1)",
-            where=where,
-            hint="the axes of ground or image are left-handed: check the order of rows and columns and the signs",
-        )
-    left, _, right = np.linalg.svd(printed)  # the nearest rotation takes away the rounding of the print
-    rotation = left @ right if direction == "ground_to_image" else (left @ right).T
+    mend = "give the elements row by row with at least 7 decimals; check the order of rows and columns and the signs"
+    rotation = require_rotation(printed, "r11 to r33", where, 1e-6, mend)
+    rotation = rotation if direction == "ground_to_image" else rotation.T
     given = [name for name in ("omega", "phi", "kappa") if name in row]
     if given:
         off = float(np.abs(_opk(row, unit, where).rotation - rotation).max())

@@ -44,12 +44,10 @@ def read_pose(row: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArra
     """
     text = "rotation matrix world → camera, row by row"
     rotation = np.array(numbers(need(row, "rotation", where, text), 9, "rotation", where)).reshape(3, 3)
-    require_rotation(rotation, "rotation", where)
-    # Printed digits leave a matrix a little off: U·Vᵀ of its singular values is the nearest rotation.
-    left, _, right = np.linalg.svd(rotation)
+    rotation = require_rotation(rotation, "rotation", where)
     position = np.array(numbers(need(row, "position", where, "projection centre"), 3, "position", where))
     frame, crs = _world(str(need(row, "world", where, f"what the world is, one of {', '.join(WORLDS)}")), where)
-    return left @ right, position, frame, crs
+    return rotation, position, frame, crs
 
 
 def _world(world: str, where: str) -> tuple[str, CRS | None]:

@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import chi2
 
+from geomosaic.geo.local_frames import nearest_rotation
 from geomosaic.orientation.block.bearings import Poses
 from geomosaic.types import BoolArray, FloatArray
 
@@ -147,8 +148,7 @@ def similarity(given: Correspondences) -> Similarity:
     moment = scale * np.einsum("n,ni,nj->ij", weight, known, free)
     # Turned by a small angle δ a rotation changes by a matrix of norm √2·δ: half of the weight.
     moment += np.einsum("n,nji->ij", 0.5 / given.sigma_turned**2, given.turned)
-    u, _, v = np.linalg.svd(moment)
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+    rotation = nearest_rotation(moment)
     scale = float(np.einsum("n,ni,ni->", share, known, free @ rotation.T)) / spread
     return Similarity(scale, rotation, target - scale * rotation @ middle)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.crs import geographic, in_space
-from geomosaic.geo.local_frames import LocalFrame
+from geomosaic.geo.local_frames import LocalFrame, nearest_rotation
 from geomosaic.geo.transform import Transform
 from geomosaic.orientation.block.absolute_orientation import Correspondences, Similarity, absolute_orientation
 from geomosaic.orientation.block.bearings import Bearings, Poses
@@ -311,10 +311,8 @@ class _Start:
             if turned[image]:
                 poses = poses.with_pose(image, known.centres[image], known.rotations[image])
             elif len(rows) >= 2:
-                # Rotation of least squares between directions (Wahba 1965), by singular values.
                 towards /= np.linalg.norm(towards, axis=1)[:, None]
-                u, _, v = np.linalg.svd(self.bearings.direction[rows].T @ towards)
-                rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+                rotation = nearest_rotation(self.bearings.direction[rows].T @ towards)
                 poses = poses.with_pose(image, known.centres[image], rotation)
         return poses
 
