@@ -19,7 +19,9 @@ from cli_rig import PHOTOS
 import geomosaic as gm
 from geomosaic.execution.run_report import RunReport
 from geomosaic.execution.units import workers_for
+from geomosaic.jobs.project import run_project
 from geomosaic.options.render import RenderOptions
+from geomosaic.project.sample_block import copy_sample
 from geomosaic.raster.source import Source
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
@@ -139,6 +141,27 @@ def test_maps_of_one_image_tell_the_run_they_were_made_in(run, tmp_path) -> None
     photo = SAMPLE / "photos" / PHOTOS[0]
     placed = gm.georeference(photo, tmp_path / "placed.tif", SAMPLE / "gcps.csv", workers=WORKERS, **given)
     assert placed.product.run is run
+
+
+def test_a_project_with_orthos_and_a_check_has_the_bytes_of_one_thread(run, tmp_path, read_here) -> None:
+    made, checks = {}, {}
+    for name, how in (("one", {"threads": 1}), ("many", {"threads": 1, "workers": WORKERS})):
+        file = copy_sample(tmp_path / name)
+        text = re.sub(r"(?s)\[control\].*?\[output\]", "[output]\northos = true", file.read_text())
+        text = text.replace("*.jpg", "strip1_0[12].jpg").replace("resolution = 1.0", "resolution = 4.0")
+        file.write_text(text.partition("max_control")[0] + "max_registration_px = 1.0\n")
+        before = units(run)
+        read_here.clear()
+        done = run_project(file, **how)
+        assert done.failure is None
+        checks[name] = done.facts["check"]
+        made[name] = {path.name: path.read_bytes() for path in (tmp_path / name / "output").rglob("*.tif")}
+    assert len(made["one"]) == 4  # the mosaic, its labels, two orthos
+    assert made["many"] == made["one"]
+    assert checks["many"] == checks["one"]
+    found = units(run) - before
+    assert (found["RectifiedUnits"], found["Strips"]) == (2, 6)
+    assert not read_here
 
 
 # Modules with threads of their own, and why these do not go to workers.

@@ -14,6 +14,7 @@ import numpy as np
 
 from geomosaic.accuracy.check_points import LIMIT, MapCheck, Verdict, check_map
 from geomosaic.errors import InputError, did_you_mean
+from geomosaic.execution.units import map_units
 from geomosaic.geo.crs import horizontal
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
@@ -22,6 +23,7 @@ from geomosaic.kernels.warp import OutputScaling, Pixels, sample
 from geomosaic.matching.shifts import Shifts, shifts
 from geomosaic.options.control import CheckOptions
 from geomosaic.options.declaration import compose
+from geomosaic.options.render import RunningOptions
 from geomosaic.planning.guidelines import position_error
 from geomosaic.planning.product_quality import Requirement
 from geomosaic.planning.relations import QUANTITIES
@@ -35,7 +37,12 @@ _SHIFTS = ("places", "shifts", "correlation")
 
 
 def against_reference(
-    product: Path, truth: Path, tile: int = 64, reach: int = 8, progress: Progress | None = None
+    product: Path,
+    truth: Path,
+    tile: int = 64,
+    reach: int = 8,
+    running: RunningOptions | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Registration and colour of a product against a reference image of the same ground.
 
@@ -45,6 +52,8 @@ def against_reference(
         Georeferenced rasters; the product is sampled (bilinear) at the pixel centres of the reference.
     tile, reach : int
         Of the matching, in pixels of the reference.
+    running : RunningOptions, optional
+        Threads or workers; one thread unless given.
     progress : callable, optional
         Called with (done, total, 'check'); may raise to stop.
 
@@ -54,30 +63,17 @@ def against_reference(
         `registration_rms_px`, `registration_robust_rms_px`, `shift_px` (median col, row), `shift_m`, `tiles`,
         `matched`, `colour_rms` per band, `colour_bias` per band, `pixels` compared.
     """
-    margin, found = reach + 2, []
+    found = []
     with Source(truth, memory_limit=_HELD) as ours, Source(product, memory_limit=_HELD) as theirs:
-        grid, own = _grid(ours), _grid(theirs)
-        to_own = Transform(grid.crs, own.crs)
-        bands = min(ours.info.bands, theirs.info.bands)
-        total = _Totals(np.zeros(bands), np.zeros(bands))
-        # Rows of whole tiles at a time, with the margin that matching looks into: the tiles are those of the whole.
-        many = max(1, _STRIP // (grid.width * max(ours.info.bands, theirs.info.bands) * 8 * tile))
-        tiles = max(0, grid.height - 2 * margin) // tile
-        starts = range(0, max(1, tiles), many)
-        for done, start in enumerate(starts):
+        strips = _Strips(ours, theirs, tile, reach)
+        resolution, total = strips.grid.resolution, _Totals(np.zeros(strips.bands), np.zeros(strips.bands))
+        for done, (_, (moved, its)) in enumerate(
+            map_units(strips, range(strips.count), running or RunningOptions(threads=1)), start=1
+        ):
+            found.append(moved)
+            total.add(its)
             if progress is not None:
-                progress(done, len(starts), "check")
-            last = start == starts[-1]
-            stop = grid.height if last else (start + many) * tile + 2 * margin
-            part = grid.crop(Window(0, start * tile, grid.width, stop - start * tile))
-            values, there = _read(ours, Window(0, start * tile, grid.width, part.height))
-            sampled, seen = _sampled(theirs, own, part, to_own)
-            both = there & seen
-            moved = match(sampled[..., :bands], values[..., :bands], both, tile, reach)
-            found.append(replace(moved, places=moved.places + np.array([0.0, start * tile])))
-            # Strips overlap by the margins of matching; each row counts once for the colours.
-            new = slice(None) if last else slice(None, many * tile)
-            total.add(sampled[new][both[new]][:, :bands] - values[new][both[new]][:, :bands])
+                progress(done, strips.count, "check")
     if not total.pixels:
         raise InputError(
             "the product and the reference share no pixel",
@@ -91,7 +87,7 @@ def against_reference(
         "registration_robust_rms_px": moved.robust_rms,
         # Matching gives the reference minus the product; what is told is how far the product lies off.
         "shift_px": [float(v) for v in -middle],
-        "shift_m": [float(v) * r for v, r in zip(-middle, grid.resolution, strict=True)],
+        "shift_m": [float(v) * r for v, r in zip(-middle, resolution, strict=True)],
         "tiles": len(moved.places),
         "matched": int(moved.matched.sum()),
         "colour_rms": [float(v) for v in np.sqrt(total.squares / total.pixels)],
@@ -108,10 +104,41 @@ class _Totals:
     squares: FloatArray
     pixels: int = 0
 
-    def add(self, difference: FloatArray) -> None:
-        self.pixels += len(difference)
-        self.sums = self.sums + difference.sum(axis=0)
-        self.squares = self.squares + (difference**2).sum(axis=0)
+    def add(self, other: _Totals) -> None:
+        self.sums, self.squares = self.sums + other.sums, self.squares + other.squares
+        self.pixels += other.pixels
+
+
+class _Strips:
+    """Comparison of strips of a reference with a product: shifts of their tiles, and totals of colour differences.
+
+    A strip is rows of whole tiles with the margin that matching looks into: the tiles are those of the whole.
+    """
+
+    def __init__(self, ours: Source, theirs: Source, tile: int, reach: int) -> None:
+        self._ours, self._theirs, self._tile, self._reach = ours, theirs, tile, reach
+        self.grid, self._own = _grid(ours), _grid(theirs)
+        self.bands = min(ours.info.bands, theirs.info.bands)
+        self._margin = reach + 2
+        tiles = max(1, (self.grid.height - 2 * self._margin) // tile)
+        many = max(1, _STRIP // (self.grid.width * max(ours.info.bands, theirs.info.bands) * 8 * tile))
+        self._height, self.count = many * tile, -(-tiles // many)
+
+    def __call__(self, strip: int) -> tuple[Shifts, _Totals]:
+        """Shifts and colour differences of one strip, counted from the top."""
+        top, last, grid = strip * self._height, strip == self.count - 1, self.grid
+        bottom = grid.height if last else top + self._height + 2 * self._margin
+        window = Window(0, top, grid.width, bottom - top)
+        values, there = _read(self._ours, window)
+        sampled, seen = _sampled(self._theirs, self._own, grid.crop(window), Transform(grid.crs, self._own.crs))
+        both = there & seen
+        moved = match(sampled[..., : self.bands], values[..., : self.bands], both, self._tile, self._reach)
+        # Strips overlap by the margins of matching; each row counts once for the colours.
+        new = slice(None) if last else slice(None, self._height)
+        off = sampled[new][both[new]][:, : self.bands] - values[new][both[new]][:, : self.bands]
+        return replace(moved, places=moved.places + np.array([0.0, top])), _Totals(
+            off.sum(axis=0), (off**2).sum(axis=0), len(off)
+        )
 
 
 def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, reach: int = 8) -> Shifts:

@@ -147,7 +147,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     steps += [
         Step(
             "check",
-            partial(check, project),
+            partial(check, project, machine),
             {**{name: keys[name] for name in keys if name.startswith("[quality]")}, **said_of_reference},
             (layout.mosaic, *reference, layout.facts("orient"), layout.facts("mosaic")),
             (layout.facts("check"),),

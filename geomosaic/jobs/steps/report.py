@@ -11,7 +11,8 @@ from geomosaic.accuracy.check_points import expectation_verdicts, orientation_ve
 from geomosaic.errors import QualityError
 from geomosaic.inputs.declarations import file_of
 from geomosaic.jobs.manifest import Layout, read_json, write_json
-from geomosaic.jobs.step import Context, versions
+from geomosaic.jobs.step import Context, Machine, versions
+from geomosaic.options.render import RunningOptions
 from geomosaic.project.load import Project
 from geomosaic.whole_files import plain, relative_path, write_atomic
 
@@ -97,12 +98,13 @@ def _file(path: Path, role: str, project: Project, digests: Mapping[Path, str]) 
     return {"path": name, "role": role, "bytes": path.stat().st_size, "sha256": digests.get(path)}
 
 
-def check(project: Project, context: Context) -> Mapping[str, Any]:
+def check(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Step "check": comparison with the reference image, where there is one, and verdicts on all limits.
 
     Parameters
     ----------
     project : Project
+    machine : Machine
     context : Context
 
     Returns
@@ -117,7 +119,8 @@ def check(project: Project, context: Context) -> Mapping[str, Any]:
     if path is not None:
         from geomosaic.accuracy.product_check import against_reference  # few projects have one, and all would load it
 
-        reference = against_reference(layout.mosaic, path, progress=context.progress)
+        running = RunningOptions(**machine.options)
+        reference = against_reference(layout.mosaic, path, running=running, progress=context.progress)
     context.progress(1, 1, "check")
     found = {
         "max_lattice_error_px": ("interpolation of the geometry, largest error", made["lattice_error_px"], "px"),
