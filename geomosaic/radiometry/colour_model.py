@@ -210,14 +210,14 @@ class _BandSquares(Problem[BandState]):
 
 def _weights(difference: FloatArray, mean: FloatArray, known: BoolArray) -> FloatArray:
     """Weights (P, K): inverse variances times the biweight; an overlap gives a gain no better than `MIN_SIGMA`."""
-    masked = np.where(known, np.abs(difference), np.nan)
-    with np.errstate(all="ignore"):
-        sigma = MAD_TO_SIGMA * np.nanmedian(masked, axis=1, keepdims=True) if known.any() else np.ones((len(known), 1))
-    level = np.where(known, np.abs(mean), 0.0).sum(axis=1, keepdims=True) / np.maximum(
-        known.sum(axis=1, keepdims=True), 1
-    )
+    count = known.sum(axis=1, keepdims=True)
+    level = np.where(known, np.abs(mean), 0.0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+    # Medians by sorting: NumPy's of rows of unequal length take ten times as long, a quarter of the selection of terms.
+    ordered = np.sort(np.where(known, np.abs(difference), np.inf), axis=1)
+    middle = np.concatenate([np.maximum(count - 1, 0) // 2, np.minimum(count // 2, known.shape[1] - 1)], axis=1)
+    medians = np.take_along_axis(ordered, middle, axis=1).mean(axis=1, keepdims=True)
     # Two copies of one image differ by nothing: without a floor their weight would be infinite.
-    sigma = np.maximum(np.nan_to_num(sigma), 1e-4 * level + 1e-12)
+    sigma = np.maximum(np.where(count > 0, MAD_TO_SIGMA * medians, 0.0), 1e-4 * level + 1e-12)
     tukey = np.where(known, biweight(difference / (BIWEIGHT_LIMIT * sigma)), 0.0)
     weight = tukey / sigma**2
     # Samples of one overlap share the errors of the model (relief, view angle), which more samples do not reduce.
@@ -271,8 +271,11 @@ def _with_dodging(fields: ColourModel, views: PairedSamples) -> ColourModel:
             # `MIN_SIGMA`, however many they are.
             weight = np.minimum(weight, 4 / (MIN_SIGMA**2 * per_overlap))
             normal = (design.T @ design.multiply(weight[:, None]) + prior).tocsr()
-            # Iterative, from the last net: weights change little from round to round.
-            net, _ = cg(normal, design.T @ (weight * left), x0=net, rtol=1e-6, M=diags(1 / normal.diagonal()))
+            # Iterative, from the last net: weights change little from round to round. Unknowns are scaled to a diagonal
+            # of ones, which is Jacobi's preconditioner without a product of its own.
+            scale = 1 / np.sqrt(normal.diagonal())
+            right = scale * (design.T @ (weight * left))
+            net = scale * cg(diags(scale) @ normal @ diags(scale), right, x0=net / scale, rtol=1e-6)[0]
         nets[:, :, band] = net.reshape(images, size)
     return replace(fields, dodging=nets)
 
