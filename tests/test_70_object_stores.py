@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from rigs.object_store import NO_AZURITE, Proxy, azurite, azurite_server, web_server
+from rigs.object_store import NO_AZURITE, Proxy, Server, azurite, azurite_server, web_server
 
 import geomosaic as gm
 from geomosaic.cli.main import run
@@ -134,14 +134,21 @@ def test_the_command_line_tells_the_traffic(sample: Proxy, capsys: pytest.Captur
 
 
 def test_an_output_without_rights_is_refused_before_anything_is_read(
-    sample: Proxy, capsys: pytest.CaptureFixture[str]
+    sample: Proxy, object_server: Server, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sample.refuse = r"POST /tests/closed/"
+    for name, value in zip(("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"), object_server.reader, strict=True):
+        monkeypatch.setenv(name, value)
+    clients.forget()
+    objects.forget()
+    assert given_path(_in_store("dem.tif")).is_file()
+    sample.seen.clear()
     words = ["ortho", _in_store(PHOTOS[0]), "--sensor", "frame", "--camera", _in_store("camera.toml")]
     words += ["--exterior", _in_store("exterior.csv"), "--exterior-crs", "EPSG:32633", "--heights", "egm96"]
     words += ["--dem", _in_store("dem.tif"), "-o", "s3://tests/closed/o.tif"]
     assert run(words) == 1
-    assert "s3://tests/closed/o.tif: the store answers with an error (503)" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "s3://tests/closed/o.tif: the store does not let this be written (403)" in said
+    assert "AWS_ACCESS_KEY_ID" in said
     assert not any(one.path.startswith("/tests/sample/strip1") for one in sample.seen)
 
 

@@ -15,6 +15,7 @@ from rasterio.windows import from_bounds
 import geomosaic as gm
 from geomosaic.errors import InputError, OutputExistsError
 from geomosaic.options.mosaic import MosaicOptions, TileSize
+from geomosaic.options.render import RenderOptions
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
 FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
@@ -131,6 +132,8 @@ def test_sizes_that_are_none_are_refused(text) -> None:
 
 
 def test_sizes_and_names() -> None:
+    with pytest.raises(InputError, match="0 is out of range"):
+        RenderOptions(tile=0)
     assert MosaicOptions.of(tiling="10km").records.tiling == TileSize(10000.0, "m")
     assert MosaicOptions.of(tiling="16384px").records.tiling == TileSize(16384.0, "px")
     with pytest.raises(InputError, match="virtual raster") as caught:

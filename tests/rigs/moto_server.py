@@ -1,4 +1,4 @@
-"""S3 server of moto with authentication on, in a process of its own: prints its address and a key that may do all."""
+"""S3 server of moto with authentication on, in a process of its own: prints its address and the keys of two users."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import json
 import os
 import sys
 
-# Calls that make the user go without one; from then on moto checks keys, signatures and policies.
-os.environ["INITIAL_NO_AUTH_ACTION_COUNT"] = "3"
+# What users may do. Calls that make them go without a key; from then on moto checks keys, signatures and policies.
+USERS = {"all": ["s3:*"], "reader": ["s3:Get*", "s3:List*"]}
+os.environ["INITIAL_NO_AUTH_ACTION_COUNT"] = str(3 * len(USERS))
 
 
 def main() -> None:
@@ -20,17 +21,18 @@ def main() -> None:
     common = {"endpoint_url": f"http://{host}:{port}", "region_name": "us-east-1"}
     first = {"aws_access_key_id": "first", "aws_secret_access_key": "first"}
     iam = boto3.client("iam", **common, **first)
-    every = json.dumps({"Version": "2012-10-17", "Statement": [{"Effect": "Allow", "Action": "s3:*", "Resource": "*"}]})
-    iam.create_user(UserName="all")
-    iam.put_user_policy(UserName="all", PolicyName="all", PolicyDocument=every)
-    key = iam.create_access_key(UserName="all")["AccessKey"]
-    own = {"aws_access_key_id": key["AccessKeyId"], "aws_secret_access_key": key["SecretAccessKey"]}
+    keys = {}
+    for user, actions in USERS.items():
+        statement = {"Effect": "Allow", "Action": actions, "Resource": "*"}
+        policy = json.dumps({"Version": "2012-10-17", "Statement": [statement]})
+        iam.create_user(UserName=user)
+        iam.put_user_policy(UserName=user, PolicyName=user, PolicyDocument=policy)
+        key = iam.create_access_key(UserName=user)["AccessKey"]
+        keys[user] = (key["AccessKeyId"], key["SecretAccessKey"])
+    own = dict(zip(("aws_access_key_id", "aws_secret_access_key"), keys["all"], strict=True))
     s3 = boto3.client("s3", **common, **own)
     s3.create_bucket(Bucket="tests")
-    print(
-        json.dumps({"endpoint": common["endpoint_url"], "key": key["AccessKeyId"], "secret": key["SecretAccessKey"]}),
-        flush=True,
-    )
+    print(json.dumps({"endpoint": common["endpoint_url"], "keys": keys}), flush=True)
     for _ in sys.stdin:  # until the tests end; each line asks for the uploads that were begun and not ended
         print(len(s3.list_multipart_uploads(Bucket="tests").get("Uploads", [])), flush=True)
     server.stop()

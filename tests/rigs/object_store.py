@@ -148,11 +148,12 @@ def proxied(target: str) -> Iterator[Proxy]:
 
 @dataclass(frozen=True)
 class Server:
-    """S3 server: its own address, and a key that may do all."""
+    """S3 server: its own address, a key that may do all, and key and secret of one who may only read."""
 
     endpoint: str
     key: str
     secret: str
+    reader: tuple[str, str]
     process: Any = None
 
     def uploads(self) -> int:
@@ -177,7 +178,7 @@ def moto_server() -> Iterator[Server]:
     try:
         assert process.stdout is not None
         told = json.loads(process.stdout.readline())
-        yield Server(told["endpoint"], told["key"], told["secret"], process)
+        yield Server(told["endpoint"], *told["keys"]["all"], tuple(told["keys"]["reader"]), process)
     finally:
         process.kill()
         process.wait()
