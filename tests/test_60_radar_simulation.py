@@ -140,7 +140,8 @@ def test_layover_shadow_and_single_zeros_hinder_no_match(tmp_path: Path) -> None
     assert np.isnan(area).sum() > 300
     assert np.nanmax(area) > 6.0
     found = gm.match_simulation(scene, tile=48, reach=24)
-    assert len(found.control) == found.matched.whole == 6
+    assert found.matched.whole == 6
+    assert str(found).startswith("SimulationMatch('scene.tif', ")
     assert (found.sigma < 0.5).all()
     assert (np.abs(found.shift - MOVED) < 2.5 * found.sigma).all()
 

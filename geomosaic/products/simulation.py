@@ -25,7 +25,7 @@ from geomosaic.types import BoolArray, FloatArray, PathLike
 LEAST = 4
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SimulationMatch:
     """Match of a radar scene with its simulation.
 
@@ -47,6 +47,10 @@ class SimulationMatch:
     matched: SimulatedControl
     shift: FloatArray
     sigma: FloatArray
+
+    def __repr__(self) -> str:
+        off = ", ".join(f"{shift:+.2f} ± {sigma:.2f} px" for shift, sigma in zip(self.shift, self.sigma, strict=True))
+        return f"SimulationMatch('{self.image}', {counted(len(self.control), 'control point')}, {off})"
 
     @property
     def summary(self) -> str:

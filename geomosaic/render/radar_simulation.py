@@ -26,8 +26,8 @@ from geomosaic.types import BoolArray, FloatArray
 LOOKS = 5
 # Windows along a side of the scene: more would make the control no better than the DEM is.
 MOST = 12
-# Power of the darkest ground, over the mean: in shadow a scene shows its thermal noise.
-DARKEST = 0.05
+# Thermal noise over the mean power: where nothing is lit, a scene shows it.
+NOISE = 0.05
 # Share of a tile's variance that the simulation must explain; one look of speckle leaves little.
 LEAST_CORRELATION = 0.25
 
@@ -141,8 +141,8 @@ def _evened(power: FloatArray, known: BoolArray) -> FloatArray:
     some = share > 0.5 / LOOKS**2
     mean = uniform_filter(np.where(known, power, 0.0), LOOKS)[some] / share[some]
     out = np.full(power.shape, np.nan)
-    if some.any():
-        out[some] = np.log(np.maximum(mean, max(DARKEST * float(mean.mean()), np.finfo(np.float64).tiny)))
+    if mean.any():
+        out[some] = np.log(mean + NOISE * mean.mean())
     return out
 
 
