@@ -21,6 +21,7 @@ from geomosaic.execution.units import map_units
 from geomosaic.execution.units_on_workers import RETRIES
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.cloud_mask import CloudMask
+from geomosaic.stores.failures import StoreError
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
 FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
@@ -171,6 +172,10 @@ def misses(item: int) -> int:
     raise SensorInputError("no such thing", name="camera", where="a.tif", hint="give one")
 
 
+def refused(item: int) -> int:
+    raise StoreError("the store does not let this be read (403)", where="s3://a/b.tif", hint="check the key")
+
+
 def fails_twice(path: str) -> str:
     with Path(path).open("a") as file:
         file.write("x")
@@ -184,6 +189,8 @@ def test_errors_of_the_user_come_back_as_they_are_and_others_are_tried_again(tmp
         options = RenderOptions(workers=executor)
         with pytest.raises(SensorInputError, match="no such thing"):
             list(map_units(misses, [1], options))
+        with pytest.raises(StoreError, match=r"check the key; worker \S+:\d+ asks the store by its own environment"):
+            list(map_units(refused, [1], options))
         assert next(map_units(fails_twice, [str(tmp_path / "tries")], options))[1] == "xxx"
         with pytest.raises(WorkerError, match="cannot be sent to other processes"):
             list(map_units(lambda item: item, [1], options))

@@ -17,6 +17,7 @@ from geomosaic.execution.unit_times import UnitTimes
 from geomosaic.execution.work import Pending, UnitsLostError, Work
 from geomosaic.execution.workers import Run, run_of
 from geomosaic.options.render import RunningOptions
+from geomosaic.stores.failures import StoreError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -101,11 +102,10 @@ class _Units:
             size = self.next_size(None)
             return done, [self.begin(rest[first : first + size]) for first in range(0, len(rest), size)]
         if isinstance(answer.error, GeomosaicError):  # the same anywhere, but for files that are not everywhere
-            if isinstance(answer.error, RasterReadError):
-                hint = (
-                    f"{answer.error.hint or 'check the path'}; worker {answer.worker} must see the file under this path"
-                )
-                answer.error.hint = hint
+            if isinstance(answer.error, RasterReadError | StoreError):
+                file = isinstance(answer.error, RasterReadError)
+                needs = "must see the file under this path" if file else "asks the store by its own environment"
+                answer.error.hint = f"{answer.error.hint or 'check the path'}; worker {answer.worker} {needs}"
             return done, [_Begun(rest, _Failed(answer.error))]
         self._report.lost["failed"] += 1
         others = [self.begin(rest[1:])] if rest[1:] else []
