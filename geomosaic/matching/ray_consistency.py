@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.matching.tracks import Tracks
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
@@ -147,7 +148,7 @@ def off_epipolar_lines(one: FloatArray, other: FloatArray) -> BoolArray:
     distance = _epipolar_distances(one, other)[:, None]
     expected, scatter, leverage = _local_regression(one, distance, AROUND_LINE)
     off = np.abs(distance - expected)[:, 0]
-    return off > np.maximum(NEAR_LINE, FAR_LINE * 1.4826 * scatter * np.sqrt(1.0 + leverage))
+    return off > np.maximum(NEAR_LINE, FAR_LINE * MAD_TO_SIGMA * scatter * np.sqrt(1.0 + leverage))
 
 
 def _epipolar_distances(one: FloatArray, other: FloatArray) -> FloatArray:
@@ -163,7 +164,7 @@ def _epipolar_distances(one: FloatArray, other: FloatArray) -> FloatArray:
         slope = np.concatenate([(a @ matrix.T)[:, :2] * other_scale, (b @ matrix)[:, :2] * scale], axis=1)
         steepness = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)
         distance: FloatArray = np.sqrt(2.0) * np.einsum("ni,ij,nj->n", b, matrix, a) / steepness
-        scatter = 1.4826 * np.median(np.abs(distance)) + 1e-6
+        scatter = MAD_TO_SIGMA * np.median(np.abs(distance)) + 1e-6
         flat = np.maximum(steepness / np.median(steepness), 1e-3)
         weight = 1.0 / (flat * np.sqrt(1.0 + (distance / (3.0 * np.sqrt(2.0) * scatter)) ** 2))
     return distance

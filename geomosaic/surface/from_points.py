@@ -9,6 +9,7 @@ import shapely
 from pyproj import CRS
 from scipy.spatial import cKDTree
 
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.surface.ground_roughness import Roughness
 from geomosaic.surface.triangles import Plane, Samples, TriangulatedSurface
@@ -177,12 +178,12 @@ def _robust_planes(away: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
     # Half of the neighbours may be wrong: the start is their median.
     off = away[..., 2] - np.median(away[..., 2], axis=1)[:, None]
     for _ in range(6):
-        scale = np.maximum(1.4826 * np.median(np.abs(off), axis=1), 1e-9)
+        scale = np.maximum(MAD_TO_SIGMA * np.median(np.abs(off), axis=1), 1e-9)
         weight = 1.0 / (1.0 + (off / (2.0 * scale[:, None])) ** 2)
         turned = (design * weight[..., None]).swapaxes(1, 2)
         # A trace of a level plane keeps neighbours on one line from having none.
         found = np.linalg.solve(turned @ design + 1e-6 * np.eye(3), turned @ away[..., 2:])[..., 0]
         off = away[..., 2] - np.einsum("nkj,nj->nk", design, found)
     # Three of the deviations went into the plane.
-    scale = 1.4826 * np.median(np.abs(off), axis=1) * np.sqrt(away.shape[1] / (away.shape[1] - 3.0))
+    scale = MAD_TO_SIGMA * np.median(np.abs(off), axis=1) * np.sqrt(away.shape[1] / (away.shape[1] - 3.0))
     return found[:, 0], found[:, 1:] / size[:, None], scale

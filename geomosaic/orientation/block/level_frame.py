@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.orientation.block.absolute_orientation import Similarity
 from geomosaic.types import FloatArray
 
@@ -68,7 +69,7 @@ def _axes(places: FloatArray) -> tuple[FloatArray, float, FloatArray]:
         # Of all places a singular value decomposition would hold a square of their number.
         square, axes = np.linalg.eigh((away * weight[:, None]).T @ away)
         size, axes = np.sqrt(np.maximum(square[::-1], 0.0)), axes.T[::-1]
-        off = np.abs(away @ axes[2]) / max(1.4826 * float(np.median(np.abs(away @ axes[2]))), 1e-300)
+        off = np.abs(away @ axes[2]) / max(MAD_TO_SIGMA * float(np.median(np.abs(away @ axes[2]))), 1e-300)
         far = np.linalg.norm(away, axis=1)
         far = far / max(float(np.median(far)), 1e-300)
         weight = 1.0 / (1.0 + (off / 3.0) ** 2 + (far / 4.0) ** 4)
