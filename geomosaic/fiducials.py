@@ -47,23 +47,10 @@ def _expected_places(
     return places
 
 
-def read_template(path: PathLike, at: tuple[float, float] | None = None, side: int | None = None) -> MarkTemplate:
-    """Template of a mark: a whole picture, or a square about a place of a scan.
+def _read_template(path: PathLike, at: tuple[float, float] | None = None, side: int | None = None) -> MarkTemplate:
+    """Template of a mark: a whole picture, or a square of `side` pixels about a place (col, row) of a scan.
 
     The mark must look the same upside down, as dots, crosses and rings do: its centre is found by that.
-
-    Parameters
-    ----------
-    path : path
-    at : tuple of float, optional
-        (col, row) of a mark in a scan, pixels.
-    side : int, optional
-        Side of the square, pixels; the whole file is the template unless both are given.
-
-    Raises
-    ------
-    InputError
-        The picture is too small or too large, the square reaches over the edge, or the mark has no centre of symmetry.
     """
     with Source(path) as source:
         image = Window(0, 0, source.info.width, source.info.height)
@@ -208,7 +195,7 @@ def find_fiducials(
     known = _calibrated_marks(path_of(camera, "camera"))
     turns = RIGHT_ANGLES if search.turned is None else (search.turned,)
     side = max(round(1000.0 * search.side / search.pixel_size), 1) if at else None
-    pattern = read_template(path_of(template, "template"), at, side)
+    pattern = _read_template(path_of(template, "template"), at, side)
     found, doubtful = {}, []
     for scan in images:
         size = inspect(scan).size

@@ -125,40 +125,25 @@ def _criterion(
     if name == "cloud":
         return lambda i: cloud_cover(scenes[i])
     if name == "season":
-        return lambda i: days_between_seasons(acquisition(scenes[i]).date(), _day(day or ""))
+        return lambda i: _days_between_seasons(_acquisition(scenes[i]).date(), _day(day or ""))
     if name == "day":
-        return lambda i: abs((acquisition(scenes[i]).date() - _day(day or "")).days)
+        return lambda i: abs((_acquisition(scenes[i]).date() - _day(day or "")).days)
     sign = -1.0 if name == "date" else 1.0
-    return lambda i: sign * (acquisition(scenes[i]) - datetime.min).total_seconds()
+    return lambda i: sign * (_acquisition(scenes[i]) - datetime.min).total_seconds()
 
 
 def _day(text: str) -> date:
     return date.fromisoformat(text if len(text) > len("07-15") else f"2000-{text}")
 
 
-def days_between_seasons(one: date, other: date) -> float:
-    """Days between two days of the year, whatever their years: at most half a year.
-
-    Parameters
-    ----------
-    one, other : date
-    """
+def _days_between_seasons(one: date, other: date) -> float:
+    """Days between two days of the year, whatever their years: at most half a year."""
     apart = abs(one.timetuple().tm_yday - other.timetuple().tm_yday)
     return min(apart, YEAR - apart)
 
 
-def acquisition(scene: OrientedImage) -> datetime:
-    """Time of acquisition, as declared, else as the file says; without its time zone.
-
-    Parameters
-    ----------
-    scene : OrientedImage
-
-    Raises
-    ------
-    InputError
-        Neither says it.
-    """
+def _acquisition(scene: OrientedImage) -> datetime:
+    """Time of acquisition, as declared, else as the file says; without its time zone."""
     digits = scene.acquired.replace("-", "").ljust(14, "0") if scene.acquired else acquisition_digits(scene.path)
     if digits is not None:
         try:

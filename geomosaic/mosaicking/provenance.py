@@ -76,7 +76,7 @@ def _facts_of_image(photos: Photos, summed: Collection[int], index: int) -> tupl
     """Acquisition and view of an image, and its checksum, where it is a file of this machine and that is not known."""
     scene = photos.block.scenes[index]
     with photos.using(index) as photo:
-        geometry = view_geometry(photo, photos, photos.grid, np.array([photos.outlines[index].centre]))
+        geometry = _view_geometry(photo, photos, photos.grid, np.array([photos.outlines[index].centre]))
     facts = {
         "acquired": scene.acquired or acquisition_time(scene.path) or "",
         "view_angle": float(geometry.angle[0]),
@@ -94,23 +94,8 @@ def _without_none(value: Any, others: Sequence[Any]) -> Any:
     return "" if any(isinstance(other, str) for other in others) else float("nan")
 
 
-def view_geometry(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views:
-    """View geometry of an image at places of the output map, on its surface.
-
-    Parameters
-    ----------
-    photo : Photo
-    photos : Photos
-    grid : Grid
-        Of the output.
-    xy : array (N, 2)
-        In the output map.
-
-    Returns
-    -------
-    Views
-        Angle and azimuth in degrees, ground sampling distance in metres.
-    """
+def _view_geometry(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views:
+    """View geometry of an image at places (N, 2) of the output map: angle and azimuth, degrees, sampling, metres."""
     surface = photos.block.surface
     z = np.zeros(len(xy)) if surface is None else surface.height(photo.mapper.surface_xy(xy))
     # Where there is no height the median is near enough: view angles change slowly with it.
@@ -210,7 +195,7 @@ def view_raster(photo: Photo, photos: Photos, grid: Grid, window: Window, nodes:
 
     cols, rows = (np.linspace(0, size, nodes) for size in (window.width, window.height))
     c, r = np.meshgrid(window.col + cols, window.row + rows)
-    geometry = view_geometry(photo, photos, grid, grid.xy(np.column_stack([c.ravel(), r.ravel()])))
+    geometry = _view_geometry(photo, photos, grid, grid.xy(np.column_stack([c.ravel(), r.ravel()])))
     slope, azimuth = np.tan(np.radians(geometry.angle)), np.radians(geometry.azimuth)
     layers = slope * np.sin(azimuth), slope * np.cos(azimuth), geometry.sampling
     at = [(np.arange(size) + 0.5) / size * (nodes - 1) for size in (window.height, window.width)]

@@ -107,7 +107,7 @@ class UnitKeys:
             outline = blender.photos.outlines[i]
             # Centres decide who fills gaps; their last digits may differ from run to run.
             centre = [round(v / step) for v in outline.centre]
-            parts += [i, self._earlier_run.scenes[i], centre, blender.rank(i), colour_bytes(blender.colours[i])]
+            parts += [i, self._earlier_run.scenes[i], centre, blender.rank(i), _colour_bytes(blender.colours[i])]
             for shape in blender.shapes(i):
                 part = shapely.intersection(shape, frame)
                 # A border whose far end has changed is the same here but for rounding: thousandths of pixels count.
@@ -219,18 +219,8 @@ def reuse_of(
     return Reuse(earlier_run, keys, images, files)
 
 
-def colour_bytes(colour: Correction) -> bytes:
-    """Bytes of all that decides what a correction does, for keys.
-
-    Parameters
-    ----------
-    colour : Correction
-
-    Returns
-    -------
-    bytes
-        Equal where corrections are equal to the bit.
-    """
+def _colour_bytes(colour: Correction) -> bytes:
+    """Bytes of all that decides what a correction does, for keys: equal where corrections are equal to the bit."""
     if isinstance(colour, ToneCurve):
         return b"".join(x.tobytes() + y.tobytes() for x, y in colour.knots) + repr(colour.slope).encode()
     if isinstance(colour, CorrectionField):
@@ -291,7 +281,7 @@ class EarlierResults:
             return compute()
         drawn = [shapely.to_wkb(shape) for shape in shapes]
         # Corrections count as well: seams of least cost compare images as they will be seen.
-        key = digest_of(self._base, earlier_run.seams, *drawn, *(colour_bytes(colour) for colour in colours))
+        key = digest_of(self._base, earlier_run.seams, *drawn, *(_colour_bytes(colour) for colour in colours))
         known = self.recall.get("seams", key, lambda: [shapely.to_wkb(share, hex=True) for share in compute()])
         return [shapely.from_wkb(bytes.fromhex(text)) for text in known]
 
@@ -319,4 +309,4 @@ def _key(settings: tuple[Any, ...], blender: Blender, part: Segment) -> str:
     step = 1e-3 * blender.grid.resolution[0]
     line = shapely.to_wkb(shapely.transform(part.line, lambda xy: np.round(xy / step)))
     pair = (part.first, part.second)
-    return digest_of(*settings, pair, line, *(colour_bytes(blender.colours[i]) for i in pair))
+    return digest_of(*settings, pair, line, *(_colour_bytes(blender.colours[i]) for i in pair))

@@ -217,22 +217,11 @@ def _toned(
     known = np.isfinite(darkest[..., 0])
     grid = coarse.crop(window)
     inside = rasterized([(piece, 1)], grid) == 1
-    return WaterBody(piece, grid, harmonic_tone(darkest, inside & known)) if (inside & known).any() else None
+    return WaterBody(piece, grid, _harmonic_tone(darkest, inside & known)) if (inside & known).any() else None
 
 
-def harmonic_tone(values: FloatArray, inside: BoolArray) -> FloatArray:
-    """Tone of water: harmonic between its outermost cells, and constant beyond them.
-
-    Parameters
-    ----------
-    values : array (rows, cols, bands)
-    inside : bool array (rows, cols)
-        Cells of the water body.
-
-    Returns
-    -------
-    array (rows, cols, bands)
-    """
+def _harmonic_tone(values: FloatArray, inside: BoolArray) -> FloatArray:
+    """Tone (rows, cols, bands) of the cells of a water body: harmonic between its outermost cells, constant beyond."""
     from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import splu

@@ -73,31 +73,13 @@ class Lake:
     unevenness: float
 
 
-def find_lakes(
+def _find_lakes(
     values: FloatArray, valid: BoolArray, heights: FloatArray, cell: float, *, smallest: int, tilt: float
 ) -> tuple[IntArray, list[Lake]]:
-    """Water bodies, as level, even and low-lying groups of cells.
+    """Water bodies, as level, even and low-lying groups of cells: numbers (rows, cols), −1 elsewhere, and lakes.
 
-    Parameters
-    ----------
-    values : array (rows, cols, bands)
-        Means of the image over cells.
-    valid : bool array (rows, cols)
-    heights : array (rows, cols)
-        Metres; NaN where unknown.
-    cell : float
-        Size of a cell in metres.
-    smallest : int
-        Cells of the smallest water body.
-    tilt : float
-        Largest slope of a group as a whole.
-
-    Returns
-    -------
-    int array (rows, cols)
-        Numbers of lakes, −1 elsewhere.
-    list of Lake
-        The largest first; numbers count from 0 in this order.
+    Heights and the cell are in metres, the smallest lake in cells, the tilt is the largest slope of a group as a whole.
+    Numbers count from 0, the largest lake first.
     """
     from scipy.ndimage import binary_opening, find_objects, label
 
@@ -311,7 +293,7 @@ def propose_water(
     min_area = MIN_CELLS * cell**2 if wanted.min_area is None else wanted.min_area
     # Fewer cells may be level and even by chance, however small an area is asked for.
     cells = max(MIN_CELLS, math.ceil(min_area / cell**2))
-    number, lakes = find_lakes(values, valid, under, cell, smallest=cells, tilt=wanted.tilt)
+    number, lakes = _find_lakes(values, valid, under, cell, smallest=cells, tilt=wanted.tilt)
     shapes = _shapes(number, grid, lakes)
     areas = [shapely.area(shape) * metre**2 for shape in shapes]
     columns = {

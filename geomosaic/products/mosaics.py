@@ -88,7 +88,7 @@ def _mosaic(
     """Mosaic of whatever images are; `ground` is the DEM, and what its heights refer to."""
     if isinstance(images, OrientedBlock):
         refuse_ground(*ground)
-        return mosaic_oriented(images, place, output, wanted)
+        return _mosaic_oriented(images, place, output, wanted)
     blocks = tuple(on_ground(block, *ground) for block in as_blocks(images))
     planar = next((block.planar for block in blocks if block.planar is not None), None)
     if planar is None:
@@ -185,27 +185,8 @@ def make_mosaic(inputs: Block | Sequence[Block], area: Area, output: Path, optio
     return made if facts is None else replace(made, placement=facts, placement_file=placement[0])
 
 
-def mosaic_oriented(block: OrientedBlock, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
-    """Mosaic of images whose models are known, those of an adjustment for example; see `make_mosaic`.
-
-    Parameters
-    ----------
-    block : OrientedBlock
-    area : Area
-        CRS, resolution and bounds, as far as they are given.
-    output : Path
-        GeoTIFF to write.
-    options : MosaicOptions
-
-    Returns
-    -------
-    MosaicResult
-
-    Raises
-    ------
-    GeomosaicError
-        InputError, OutputError or SolveError; nothing is left under the final names.
-    """
+def _mosaic_oriented(block: OrientedBlock, area: Area, output: Path, options: MosaicOptions) -> MosaicResult:
+    """Mosaic of images whose models are known, those of an adjustment for example; see `make_mosaic`."""
     check_outputs(output, options, [to_path(scene.path) for scene in block.scenes])
     if options.uncertainty.accuracy and options.uncertainty.sigmas:
         scenes = tuple(with_sigmas(scene, options.uncertainty.sigmas) for scene in block.scenes)

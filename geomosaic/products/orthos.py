@@ -89,7 +89,7 @@ def ortho(
     with workers_for(wanted.render):
         if isinstance(scene, OrientedBlock):
             refuse_ground(dem, dem_heights)
-            return ortho_oriented(scene, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
+            return _ortho_oriented(scene, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
         block = scene if isinstance(scene, Block) else Scene((path_of(scene, "scene"),))
         block = on_ground(block, dem, dem_heights)
         return make_ortho(block, area, path_of(output, "output"), wanted.render, wanted.uncertainty)
@@ -140,32 +140,10 @@ def make_ortho(
     return made if facts is None else replace(made, placement=facts, placement_file=placement_files(inputs, output)[0])
 
 
-def ortho_oriented(
+def _ortho_oriented(
     block: OrientedBlock, area: Area, output: Path, options: RenderOptions, wanted: UncertaintyOptions
 ) -> OrthoResult:
-    """Ortho of the one image of a block whose model is known, that of an adjustment for example; see `make_ortho`.
-
-    Parameters
-    ----------
-    block : OrientedBlock
-        Of one image.
-    area : Area
-        CRS, resolution and bounds, as far as they are given.
-    output : Path
-        GeoTIFF to write.
-    options : RenderOptions
-    wanted : UncertaintyOptions
-        Whether an accuracy raster is made, and of what.
-
-    Returns
-    -------
-    OrthoResult
-
-    Raises
-    ------
-    GeomosaicError
-        InputError, OutputError or SolveError; nothing is left under the final name.
-    """
+    """Ortho of the one image of a block whose model is known, that of an adjustment for example; see `make_ortho`."""
     if len(block.scenes) != 1:
         what = f"an ortho is of one image, and the block has {len(block.scenes)}"
         raise InputError(what, where="`scene`", hint="name the image: `adjusted.block(NAME)`")

@@ -37,19 +37,8 @@ _SAMPLES, _SAMPLE, _STRETCHED = 24, 4, 512
 _AGAIN = 0.25
 
 
-def shown_bands(info: SourceInfo) -> tuple[int, ...]:
-    """Numbers of the bands that a screen shows: the first three, or the first one.
-
-    Parameters
-    ----------
-    info : SourceInfo
-        Of all bands but alpha.
-
-    Returns
-    -------
-    tuple of int
-        Counted from 1, as the file has them.
-    """
+def _shown_bands(info: SourceInfo) -> tuple[int, ...]:
+    """Numbers, from 1, of the bands that a screen shows: the first three, or the first one; none is alpha."""
     plain = [number for number in range(1, info.bands + 2) if number != info.alpha][: info.bands]
     return tuple(plain[: 3 if info.bands >= 3 else 1])
 
@@ -101,7 +90,7 @@ class DisplayRaster:
         self._path = path
         every = inspect(path)
         self._palette = _palette(path) if every.bands == 1 and "palette" in every.colors else None
-        bands = shown_bands(every)
+        bands = _shown_bands(every)
         self.info = inspect(path, bands)
         self._source = Source(path, bands=bands, memory_limit=_HELD) if self._palette is None else _Coloured(
             path, self._palette

@@ -229,7 +229,7 @@ def layer_names(path: PathLike) -> list[str]:
     if not to_path(path).exists():
         raise InputError("the file does not exist", where=str(path), hint="check the path")
     try:
-        return [str(name) for name in pyogrio.list_layers(readable(path))[:, 0]]
+        return [str(name) for name in pyogrio.list_layers(_readable(path))[:, 0]]
     except (DataSourceError, DataLayerError, IndexError, UnicodeError) as error:  # names of layers and columns
         raise _unreadable(path, error) from error
 
@@ -243,7 +243,7 @@ def plain_tables(path: PathLike) -> list[str]:
     """
     import pyogrio
 
-    return [str(name) for name, kind in pyogrio.list_layers(readable(path)) if kind is None]
+    return [str(name) for name, kind in pyogrio.list_layers(_readable(path)) if kind is None]
 
 
 def read_table(path: PathLike, name: str) -> Any:
@@ -256,25 +256,15 @@ def read_table(path: PathLike, name: str) -> Any:
     """
     import pyogrio
 
-    return pyogrio.read_dataframe(readable(path), layer=name)
+    return pyogrio.read_dataframe(_readable(path), layer=name)
 
 
 # Bytes of a file of vectors in a store, which is read as a whole.
 _LARGEST = 1 << 30
 
 
-def readable(path: PathLike) -> PathLike:
-    """Path that OGR reads a file of vectors from: its own, or that of a copy in the scratch folder of one in a store.
-
-    Parameters
-    ----------
-    path : path
-
-    Raises
-    ------
-    InputError
-        The object is too large, or of a format that has several files.
-    """
+def _readable(path: PathLike) -> PathLike:
+    """Path that OGR reads a file of vectors from: its own, or a copy in the scratch folder of one in a store."""
     file = to_path(path)
     if not isinstance(file, StorePath):
         return path
@@ -324,7 +314,8 @@ def layer_counts(path: PathLike) -> dict[str, int]:
 
     names = layer_names(path)
     return {
-        name: int(pyogrio.read_info(readable(path), layer=name, force_feature_count=True)["features"]) for name in names
+        name: int(pyogrio.read_info(_readable(path), layer=name, force_feature_count=True)["features"])
+        for name in names
     }
 
 
@@ -357,9 +348,9 @@ def read_layer(path: PathLike, layer: str | None = None) -> GeoDataFrame:
             warnings.simplefilter("ignore", UserWarning)  # of further layers: the first is what is documented
             warnings.simplefilter("ignore", RuntimeWarning)  # of outlines that do not close: an error of our own tells
             # A limit takes its room before the first row is read, 8 MB a column: only where the rows are not yet known.
-            known = pyogrio.read_info(readable(path), layer=layer or names[0])["features"]
+            known = pyogrio.read_info(_readable(path), layer=layer or names[0])["features"]
             most = None if 0 <= known <= MOST_ROWS else MOST_ROWS + 1
-            frame = pyogrio.read_dataframe(readable(path), layer=layer or names[0], max_features=most)
+            frame = pyogrio.read_dataframe(_readable(path), layer=layer or names[0], max_features=most)
     except GEOSException as error:
         raise _no_geometry(path, layer or names[0], str(error)) from error
     except (DataSourceError, DataLayerError, IndexError, UnicodeError) as error:  # names of layers and columns
@@ -391,7 +382,7 @@ def _no_geometry(path: PathLike, layer: str, cause: str) -> InputError:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        written = pyogrio.raw.read(readable(path), layer=layer, columns=[])[2]
+        written = pyogrio.raw.read(_readable(path), layer=layer, columns=[])[2]
     read = shapely.from_wkb(written, on_invalid="ignore")
     row = next((i for i, (wkb, shape) in enumerate(zip(written, read, strict=True), 1) if wkb and shape is None), 0)
     return InputError(

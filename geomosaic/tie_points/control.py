@@ -226,31 +226,16 @@ class _FoundInReference:
                 return too_distant(distant[[number]], scene.path)
             if start.oriented[number]:
                 return match_oriented(image, start.surface, self.searched.reference, search)
-            return match_unoriented(image, start, self.searched)
+            return _match_unoriented(image, start, self.searched)
         except (InputError, SolveError) as error:
             return error
 
 
-def match_unoriented(image: OrientedImage, start: StartBlock, searched: SearchedReference) -> ReferenceMatch:
+def _match_unoriented(image: OrientedImage, start: StartBlock, searched: SearchedReference) -> ReferenceMatch:
     """Places of a photo that nothing orients in a reference, wherever in it the photo lies.
 
     A homography of its features finds places; on these the photo is resected with what is known of its camera, and its
     places are measured anew through the sensor model, over the ground.
-
-    Parameters
-    ----------
-    image : OrientedImage
-        Whose model has the camera, and no orientation.
-    start : StartBlock
-        With the surface.
-    searched : SearchedReference
-
-    Raises
-    ------
-    InputError
-        The sensor is not one of photos.
-    SolveError
-        The photo was not found.
     """
     reference, surface = searched.reference, start.surface
     if not isinstance(image.model, HasPose) or surface is None:

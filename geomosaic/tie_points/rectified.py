@@ -107,7 +107,7 @@ def dissimilar_pairs(
     views: dict[int, FloatArray | None] = {}
     for image in sorted({image for pair in few for image in pair}):
         middle = np.array([start.scenes[image].model.size]) / 2.0
-        views[image] = ground_frames(start, image, middle)[0] if can_rectify(start, image) else None
+        views[image] = ground_frames(start, image, middle)[0] if _can_rectify(start, image) else None
     found = []
     for i, j in few:
         one, other = views[i], views[j]
@@ -120,19 +120,8 @@ def dissimilar_pairs(
     return found
 
 
-def can_rectify(start: StartBlock, image: int) -> bool:
-    """Whether an image's model, and the ground, are known well enough to rectify it.
-
-    Parameters
-    ----------
-    start : StartBlock
-    image : int
-        Number of the image.
-
-    Returns
-    -------
-    bool
-    """
+def _can_rectify(start: StartBlock, image: int) -> bool:
+    """Whether an image's model, and the ground, are known well enough to rectify it."""
     return bool(start.oriented[image]) and (
         start.surface is not None or not isinstance(start.scenes[image].model, HasPose)
     )

@@ -223,7 +223,7 @@ def _match(
 ) -> tuple[FloatArray, FloatArray]:
     """Places (K, 2) and covariances (K, 2, 2) in the other image of templates about `centres`; NaN where lost."""
     own = other.frames @ np.linalg.inv(one.frames)
-    affine, known = local_affine(one.colrow, other.colrow)
+    affine, known = _local_affine(one.colrow, other.colrow)
     affine = np.where(known[:, None, None], affine, own)
     # The other image is reduced until its pixels are about as large on the ground as the template's.
     scale = np.sqrt(np.abs(np.linalg.det(affine)))
@@ -311,18 +311,10 @@ def _halves(
     )  # fmt: skip
 
 
-def local_affine(one: FloatArray, other: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Derivatives of places in another image by those in the first, of the matches around each.
+def _local_affine(one: FloatArray, other: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Derivatives (K, 2, 2) of places in another image by those in the first (K, 2), of the matches around each.
 
-    Parameters
-    ----------
-    one, other : array (K, 2)
-
-    Returns
-    -------
-    affine : array (K, 2, 2)
-    known : bool array (K,)
-        Whether there are enough of them, and they fit an affine transformation.
+    With them whether there are enough of these (K,), and they fit an affine transformation.
     """
     count = min(NEIGHBOURS, len(one))
     if count < 6:

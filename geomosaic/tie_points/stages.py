@@ -80,7 +80,7 @@ class Stages:
     @cached_property
     def shrink(self) -> IntArray:
         """Pixels of each file along the side of one of the image in which features are found (M,)."""
-        return np.array([shrinkage(scene.model.size, self.options.match_size) for scene in self.start.scenes])
+        return np.array([_shrinkage(scene.model.size, self.options.match_size) for scene in self.start.scenes])
 
     @cached_property
     def left_out(self) -> Callable[[int, FloatArray], BoolArray] | None:
@@ -218,14 +218,8 @@ def _pair_matches(pair: PairOfFeatures, arrays: Arrays) -> PairMatches | None:
     return PairMatches(pair.first, pair.second, arrays["places"], arrays["cost"]) if len(arrays["places"]) else None
 
 
-def shrinkage(size: tuple[int, int], longest: int) -> int:
-    """Whole reduction of an image to about so many pixels along its longer side.
-
-    Parameters
-    ----------
-    size : tuple of int
-    longest : int
-    """
+def _shrinkage(size: tuple[int, int], longest: int) -> int:
+    """Whole reduction of an image to about so many pixels along its longer side."""
     return max(1, round(max(size) / longest))
 
 

@@ -25,13 +25,8 @@ from geomosaic_frame.rolling_shutter import TURNS, Scan
 NAMES = ("east", "north", "up", "omega", "phi", "kappa")
 
 
-def names_of(camera: CameraModel) -> tuple[str, ...]:
-    """Names of the parameters of a photo: its pose; with a rolling shutter its motion, of a film its deformation.
-
-    Parameters
-    ----------
-    camera : CameraModel
-    """
+def _names_of(camera: CameraModel) -> tuple[str, ...]:
+    """Names of the parameters of a photo: its pose; with a rolling shutter its motion, of a film its deformation."""
     motion = () if camera.shutter is None else MOTION
     return NAMES + motion + (() if camera.deformation is None else camera.deformation.names)
 
@@ -289,7 +284,7 @@ class FrameModel:
         ray_correction = RayCorrection.from_dict(state.get("ray_correction", {}))
         sigmas = tuple(np.inf if sigma is None else float(sigma) for sigma in state.get("interior_sigmas", ()))
         camera, notes = camera_model_from_dict(state["camera"]), tuple(state["notes"])
-        parameters = Parameters.from_dict(names_of(camera), tuple(state["units"]), state)
+        parameters = Parameters.from_dict(_names_of(camera), tuple(state["units"]), state)
         return cls(camera, frame, parameters, (x, y, z), notes, ray_correction, sigmas)
 
 
@@ -325,4 +320,4 @@ def parameters_of(camera: CameraModel, crs: CRS, values: FloatArray, sigmas: Flo
     if camera.deformation is not None:
         more = len(camera.deformation.values)
         steps, units = np.concatenate([steps, np.ones(more)]), units + ("px",) * more
-    return Parameters(names_of(camera), units, values, sigmas, steps)
+    return Parameters(_names_of(camera), units, values, sigmas, steps)

@@ -36,35 +36,10 @@ def _need_determined(equations: Equations, label: str, where: str | None) -> Non
         )
 
 
-def least_squares(
+def _least_squares(
     design: FloatArray, right: FloatArray, label: str, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Weighted linear least squares, by singular values.
-
-    Parameters
-    ----------
-    design : array (M, P)
-        Design matrix, rows multiplied by the square roots of the weights.
-    right : array (M,) or (M, K)
-        Observations, weighted likewise.
-    label : str
-        Kind of transformation, for the message.
-    where : str, optional
-        Named in errors.
-
-    Returns
-    -------
-    solution : array (P,) or (P, K)
-    condition : float
-        Condition number of the design.
-    cofactors : array (P, P)
-        Covariance of the solution for unit variance factor.
-
-    Raises
-    ------
-    SolveError
-        The design is singular or nearly so.
-    """
+    """Weighted linear least squares by singular values: solution, condition of the design, and cofactors (P, P)."""
     equations = Equations(design, right)
     _need_determined(equations, label, where)
     return equations.step(), equations.condition()[0], equations.parameter_cofactors()
@@ -106,7 +81,7 @@ def conformal(
     right = (image * root[:, None]).ravel()
     for each in AXES if axes is None else (axes,):
         design = (derivatives("conformal", 1, np.zeros(4), uv, each)[0] * root[:, None, None]).reshape(-1, 4)
-        solved = least_squares(design, right, "conformal", where)
+        solved = _least_squares(design, right, "conformal", where)
         left = right - design @ solved[0]
         # Not below what rounding leaves, so that exact points on a line do not decide.
         tried[each] = solved, float(left @ left) + 1e-20 * float(right @ right)
@@ -149,7 +124,7 @@ def linear(
     """
     # Columns and rows share one design: solve it once for both.
     terms = basis(order, uv)
-    solution, condition, cofactors = least_squares(terms * root[:, None], image * root[:, None], label, where)
+    solution, condition, cofactors = _least_squares(terms * root[:, None], image * root[:, None], label, where)
     both = np.kron(np.eye(2), cofactors).astype(np.float64)
     return solution.T.ravel(), condition, both
 

@@ -123,7 +123,7 @@ def _flight(
     xyz = Transform(need_crs(request), ECEF)(control.xyz)
     given = options.get("principal_col")
     centre = request.size[0] / 2.0 if given is None else number(given, "principal_col", where)
-    start = initial_values(frame.to_enu(xyz[good]), control.colrow[good], request.size, centre, options, where)
+    start = _initial_values(frame.to_enu(xyz[good]), control.colrow[good], request.size, centre, options, where)
     height = float(Transform(ECEF, geographic(ECEF))(frame.origin[None])[0, 2])
     factor = 10.0 if start.flying_height < AIRBORNE else 1.0
     sigmas = np.full(len(StraightFlight.names), np.inf)
@@ -196,7 +196,7 @@ def _additional(given: Any, count: int, where: str) -> tuple[str, ...]:
     return chosen
 
 
-def initial_values(
+def _initial_values(
     ground: FloatArray,
     colrow: FloatArray,
     size: tuple[int, int],
@@ -206,27 +206,7 @@ def initial_values(
 ) -> InitialValues:
     """Initial values of the straight flight, from a parallel projection of control points.
 
-    Parameters
-    ----------
-    ground : array (N, 3)
-        East, north, up in metres.
-    colrow : array (N, 2)
-        Pixels.
-    size : tuple of int
-        Width and height in pixels.
-    principal : float
-        Column of the principal point.
-    options : mapping
-        With focal_length_px or flying_height, or both.
-    where : str
-        Named in errors.
-
-    Raises
-    ------
-    InputError
-        Neither is given.
-    SolveError
-        The points lie on a line of ground or of the image.
+    Ground (N, 3) is east, north, up in metres, `principal` the column of the principal point.
     """
     constant, a, b = _parallel_projection(ground, colrow, where)
     view = np.cross(a, b)

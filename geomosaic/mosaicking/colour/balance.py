@@ -102,12 +102,12 @@ class _SamplesOfImage:
         photos, grid = self.photos, self.grid
         window = grid.window_of(photos.outlines[index].bounds)
         single: SinglePixels | None = None
-        ground = ground_below(grid, photos.block.surface, window)
+        ground = _ground_below(grid, photos.block.surface, window)
         with photos.using(index) as photo:
             if index in self.chosen:  # pixels besides means, which are hardly ever clipped
                 single = SinglePixels.of_nearest(photo, ground, grid, window, self.centres, index)
                 photo = replace(photo, source=cast(Source, single))
-            mean = thumbnail_over(ground, photo, grid, window, "average", "float32")
+            mean = _thumbnail_over(ground, photo, grid, window, "average", "float32")
         mean = replace(mean, valid=_with_valid_neighbours(mean.valid))
         pixels_of = None if single is None else single.thumbnail(window, photo.scale, photos.info.dtype)
         return restricted(mean, grid, self.hidden), pixels_of
@@ -318,8 +318,8 @@ def thumbnail(
     Thumbnail
         Values before any correction; 0 where not valid.
     """
-    ground = ground_below(places or grid, surface, window)
-    return thumbnail_over(ground, photo, grid, window, resampling, dtype, places)
+    ground = _ground_below(places or grid, surface, window)
+    return _thumbnail_over(ground, photo, grid, window, resampling, dtype, places)
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,25 +353,13 @@ class ThumbnailOfImage:
         return restricted(found, grid, self.hidden, self.region)
 
 
-def ground_below(grid: Grid, surface: Surface | None, window: Window) -> list[BlockGround]:
-    """Ground below a window of a coarse grid.
-
-    Parameters
-    ----------
-    grid : Grid
-    surface : Surface, optional
-    window : Window
-
-    Returns
-    -------
-    list of BlockGround
-        The window itself is cut into blocks, not the grid: only the heights below the photo are read.
-    """
+def _ground_below(grid: Grid, surface: Surface | None, window: Window) -> list[BlockGround]:
+    """Ground below a window of a coarse grid, which is cut into blocks: only heights below the photo are read."""
     below = Ground.under(grid, surface)
     return [] if window.empty else [below.block(part) for part in window.split(BLOCK_WIDTH, BLOCK_HEIGHT)]
 
 
-def thumbnail_over(
+def _thumbnail_over(
     ground: Sequence[BlockGround],
     photo: Photo,
     grid: Grid,
@@ -380,19 +368,7 @@ def thumbnail_over(
     dtype: str,
     places: Grid | None = None,
 ) -> Thumbnail:
-    """Thumbnail of one photo over ground that is known.
-
-    Parameters
-    ----------
-    ground : sequence of BlockGround
-        See `ground_below`.
-    photo, grid, window, resampling, dtype, places
-        As in `thumbnail`.
-
-    Returns
-    -------
-    Thumbnail
-    """
+    """Thumbnail of one photo, as `thumbnail` makes it, over ground from `_ground_below`."""
     piece = _blank(window, photo.source.info.bands, dtype)
     if window.empty or _read_aligned(photo, grid, resampling, piece):
         return piece

@@ -343,7 +343,7 @@ def _with_site_terms(
     total: AnyArray = maximum_filter(seam, 3) + np.float32(weights.length)
     if weights.heights:
         metres = float(metres_per_unit(grid.crs, np.array(grid.xy(np.array([[0.0, 0.0]]))[0]))[1]) * grid.resolution[1]
-        total = total + np.float32(weights.heights) * raised_objects(cell_heights(photos, grid), metres)
+        total = total + np.float32(weights.heights) * raised_objects(_cell_heights(photos, grid), metres)
     # Lines and areas are widened by a cell, so that none slips between cell centres.
     cell = grid.resolution[0]
     if layers.follow:
@@ -354,20 +354,8 @@ def _with_site_terms(
     return np.asarray(total, dtype=np.float32)
 
 
-def cell_heights(photos: Photos, grid: Grid) -> Float32Array:
-    """Heights of the surface at the cell centres of a grid.
-
-    Parameters
-    ----------
-    photos : Photos
-        Of a block with or without a surface.
-    grid : Grid
-
-    Returns
-    -------
-    float32 array (rows, cols)
-        Metres, bilinear between the posts of the DEM; NaN where unknown, or where the block has no surface.
-    """
+def _cell_heights(photos: Photos, grid: Grid) -> Float32Array:
+    """Heights (rows, cols) of the surface at the cells of a grid, metres, bilinear between posts; NaN where unknown."""
     from scipy.ndimage import map_coordinates
 
     heights = np.full(grid.shape, np.nan, dtype=np.float32)

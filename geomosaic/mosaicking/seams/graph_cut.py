@@ -70,19 +70,10 @@ class RegionGraph:
         return np.take_along_axis(self.allowed, count.argmax(axis=1)[:, None], axis=1)[:, 0]
 
 
-def catchment_basins(cost: AnyArray, known: BoolArray) -> IntArray:
-    """Catchment basins of the inverted cost: each holds a local maximum, borders run where the cost is low.
+def _catchment_basins(cost: AnyArray, known: BoolArray) -> IntArray:
+    """Catchment basins of the inverted cost, by number, −1 where no image shows the cell (rows, cols).
 
-    Parameters
-    ----------
-    cost : array (rows, cols)
-    known : bool array (rows, cols)
-        Cells that some image shows.
-
-    Returns
-    -------
-    int array (rows, cols)
-        Number of the basin; -1 where not known.
+    Each holds a local maximum, borders run where the cost is low.
     """
     from scipy.ndimage import gaussian_filter, label, maximum_filter, watershed_ift
 
@@ -114,7 +105,7 @@ def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> Regio
     RegionGraph
     """
     ranks, known = len(candidates), candidates[0] >= 0
-    basin = catchment_basins(cost, known)
+    basin = _catchment_basins(cost, known)
     # The cells of a region have the same candidates, whatever their order.
     sets = np.sort(candidates.reshape(ranks, -1), axis=0)[:, known.ravel()]
     # All cells with the same sole candidate are one region, whatever their basin: there is nothing to decide.

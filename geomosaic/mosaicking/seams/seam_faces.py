@@ -15,15 +15,8 @@ from geomosaic.mosaicking.seams.voronoi import polygonal
 from geomosaic.types import FloatArray
 
 
-def edges_of(geometry: Any, step: float) -> set[Edge]:
-    """Edges of a line or of all rings of a polygon.
-
-    Parameters
-    ----------
-    geometry : LineString, Polygon, or several
-    step : float
-        Map units of which vertices are multiples.
-    """
+def _edges_of(geometry: Any, step: float) -> set[Edge]:
+    """Edges of a line or of all rings of a polygon, whose vertices are multiples of `step` map units."""
     import shapely
 
     parts = shapely.get_parts(geometry)
@@ -35,15 +28,8 @@ def edges_of(geometry: Any, step: float) -> set[Edge]:
     return found
 
 
-def edges_on_lines(edges: Iterable[Edge], lines: Any, step: float) -> set[Edge]:
-    """Edges that lie on lines with vertices at all their ends there.
-
-    Parameters
-    ----------
-    edges : iterable of Edge
-    lines : LineString or MultiLineString
-    step : float
-    """
+def _edges_on_lines(edges: Iterable[Edge], lines: Any, step: float) -> set[Edge]:
+    """Edges that lie on lines with vertices at all their ends there."""
     import shapely
 
     edges = list(edges)
@@ -122,10 +108,10 @@ class SeamFaces:
             numbers,
             [faces[i] for i in kept],
             [owner[i] for i in kept],
-            [edges_of(faces[i], step) for i in kept],
+            [_edges_of(faces[i], step) for i in kept],
             places[kept].reshape(-1, 2),
             # With the vertices that the lines have put on them.
-            edges_on_lines(edges_of(network, step), borders, step),
+            _edges_on_lines(_edges_of(network, step), borders, step),
             step,
         )
 
@@ -149,7 +135,7 @@ class SeamFaces:
         ----------
         line : LineString
         """
-        return edges_on_lines({edge for edges in self.edges for edge in edges}, line, self.step)
+        return _edges_on_lines({edge for edges in self.edges for edge in edges}, line, self.step)
 
     def parts(self, borders: set[Edge]) -> list[list[int]]:
         """Groups of faces that hang together without crossing some edges.
@@ -207,7 +193,7 @@ class SeamFaces:
         found = list(before)
         for number in {*self.numbers, *own}:
             share = canonical(polygonal(shapely.union_all(own.get(number, []))), self.step)
-            if edges_of(share, self.step) != edges_of(before[number], self.step):
+            if _edges_of(share, self.step) != _edges_of(before[number], self.step):
                 found[number] = share
         return found
 

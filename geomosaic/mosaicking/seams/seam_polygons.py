@@ -53,7 +53,7 @@ MAX_CELLS = 16_000_000
 TILE = 256
 
 
-def least_cost_regions(
+def _least_cost_regions(
     photos: Photos,
     outlines: Sequence[Any],
     colours: Sequence[Correction],
@@ -61,26 +61,8 @@ def least_cost_regions(
     weights: SeamWeights | None = None,
     layers: SeamLayers | None = None,
 ) -> list[Any]:
-    """Seam polygons of least cost, by graph cuts over image differences, raised objects and the user's lines and areas.
-
-    Parameters
-    ----------
-    photos : Photos
-    outlines : sequence of Polygon
-        Footprints in the output map; empty for images that are not to be used.
-    colours : sequence of Correction
-        Corrections of the images: they are compared as they will be seen.
-    options : RenderOptions
-    weights : SeamWeights, optional
-    layers : SeamLayers, optional
-        Lines to follow and areas to avoid.
-
-    Returns
-    -------
-    list of Polygon or MultiPolygon
-        They share no area, and together they cover the union of the footprints.
-    """
-    weights, layers, grid = weights or SeamWeights(), layers or SeamLayers(), seam_grid(photos)
+    """Seam polygons of least cost, by graph cuts over image differences, raised objects and the lines and areas given."""
+    weights, layers, grid = weights or SeamWeights(), layers or SeamLayers(), _seam_grid(photos)
     candidates = _candidates(photos, grid, outlines, weights.reach)
     cost = seam_cost(photos, grid, candidates, colours, weights, layers, options)
     regions = region_graph(candidates, cost.unary, cost.pairwise)
@@ -91,21 +73,9 @@ def least_cost_regions(
     return undivided(shares, outlines, layers.avoid)
 
 
-def halved_regions(photos: Photos, outlines: Sequence[Any]) -> list[Any]:
-    """Seam polygons that halve overlaps: a place belongs to the image whose inner edge is farthest away.
-
-    Parameters
-    ----------
-    photos : Photos
-    outlines : sequence of Polygon
-        Footprints in the output map.
-
-    Returns
-    -------
-    list of Polygon or MultiPolygon
-        As from `least_cost_regions`.
-    """
-    grid = seam_grid(photos)
+def _halved_regions(photos: Photos, outlines: Sequence[Any]) -> list[Any]:
+    """Seam polygons that halve overlaps: a place belongs to the image whose inner edge is farthest away."""
+    grid = _seam_grid(photos)
     label: IntArray = np.full(grid.shape, -1)
     edges = inner_edges(outlines)
     for rows, cols, near, covers, xy in _tiles(photos, grid, outlines):
@@ -114,18 +84,8 @@ def halved_regions(photos: Photos, outlines: Sequence[Any]) -> list[Any]:
     return _vectorised(photos, outlines, label, grid)
 
 
-def seam_grid(photos: Photos) -> Grid:
-    """Coarse grid on which seams are laid: about `LAYOUT_CELLS` across a footprint, at most `MAX_CELLS` in all.
-
-    Parameters
-    ----------
-    photos : Photos
-
-    Returns
-    -------
-    Grid
-        The output grid coarsened by a whole factor.
-    """
+def _seam_grid(photos: Photos) -> Grid:
+    """Coarse grid on which seams are laid: about `LAYOUT_CELLS` across a footprint, at most `MAX_CELLS` in all."""
     areas = [np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines]
     pixel = photos.grid.resolution[0]
     factor = max(1, round(float(np.sqrt(np.median(areas))) / LAYOUT_CELLS / pixel))
@@ -269,9 +229,9 @@ def _divided(photos: Photos, shapes: list[Any], colours: Sequence[Correction], o
         from geomosaic.mosaicking.seams.cost import read_seam_layers
 
         layers = read_seam_layers(options.seamlines.follow, options.seamlines.avoid, photos.grid)
-        return least_cost_regions(photos, shapes, colours, options.render, options.seamlines.seam_weights, layers)
+        return _least_cost_regions(photos, shapes, colours, options.render, options.seamlines.seam_weights, layers)
     if options.seamlines.seams == "halve":
-        return halved_regions(photos, shapes)
+        return _halved_regions(photos, shapes)
     return voronoi_regions(shapes, photos.centres)
 
 

@@ -205,29 +205,15 @@ def _measured(blender: Blender, segment: Segment) -> SeamQuality:
     (a, a0, seen_a), (b, b0, seen_b) = (
         _values_before_and_after(blender, k, window) for k in (segment.first, segment.second)
     )
-    return compare_images(a, b, a0, b0, seen_a & seen_b, _seam_band(blender, segment, window))
+    return _compare_images(a, b, a0, b0, seen_a & seen_b, _seam_band(blender, segment, window))
 
 
-def compare_images(
+def _compare_images(
     a: AnyArray, b: AnyArray, a0: AnyArray, b0: AnyArray, both: BoolArray, near: BoolArray
 ) -> SeamQuality:
-    """Agreement of two images of a place: colour step and difference beside the seam, and shift.
+    """Agreement of two images (rows, cols, bands), balanced and before: step and difference beside the seam, shift.
 
-    Parameters
-    ----------
-    a, b : array (rows, cols, bands)
-        Balanced values.
-    a0, b0 : array (rows, cols, bands)
-        Values before.
-    both : bool array (rows, cols)
-        Pixels that both show.
-    near : bool array (rows, cols)
-        Pixels beside the seam.
-
-    Returns
-    -------
-    SeamQuality
-        `NOT_MEASURED` where fewer than `BAND`² pixels beside the seam are shown by both.
+    `NOT_MEASURED` where fewer than `BAND`² pixels beside the seam are shown by both.
     """
     here = both & near
     if here.sum() < BAND**2:
