@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mosaic_rig as rig
 import numpy as np
@@ -11,7 +12,13 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from geomosaic.geo.grid import Window
-from geomosaic.mosaicking.colour.acceptance import CLEARLY_BETTER, added_spread, held_out_ratio, registered_overlaps
+from geomosaic.mosaicking.colour.acceptance import (
+    CLEARLY_BETTER,
+    added_spread,
+    held_out_ratio,
+    misregistration_notes,
+    registered_overlaps,
+)
 from geomosaic.mosaicking.colour.exposure import exposure_balance
 from geomosaic.radiometry.gain_offset import solve_gain_offset
 from geomosaic.radiometry.overlaps import Overlap, Overlaps, Thumbnail
@@ -99,6 +106,18 @@ def test_undecided_overlaps_are_not_trusted_where_most_others_are_misregistered(
     beside = [pair for pair in pairs if pair.registration.failed]
     assert registered_overlaps([*beside, flat])[0] == []
     assert registered_overlaps([*overlaps(GAINS), flat])[1] == []
+
+
+def test_the_note_of_misregistered_radar_says_that_two_sides_never_correlate() -> None:
+    pair = next(
+        one for one in overlaps(GAINS, {i: (0, 18 * (-1) ** i) for i in range(COUNT)}) if one.registration.failed
+    )
+    radar, photo = SimpleNamespace(sensor_positions=len), SimpleNamespace()
+    for model, told in ((radar, True), (photo, False)):
+        scenes = [SimpleNamespace(name=f"{i}.tif", model=model) for i in range(COUNT)]
+        (note,) = misregistration_notes(SimpleNamespace(block=SimpleNamespace(scenes=scenes)), [pair], 5, 2.0)  # type: ignore[arg-type]
+        assert note.startswith("misregistered, 1 of 5 overlaps")
+        assert ("radar from two sides" in note) == told
 
 
 def test_photos_that_need_nothing_are_no_better_with_gains() -> None:

@@ -30,6 +30,7 @@ from geomosaic.radiometry.overlaps import Overlap, Thumbnail, paired_samples
 from geomosaic.radiometry.radiometric_change import RadiometricChange, radiometric_change
 from geomosaic.render.photos import Photos
 from geomosaic.resample.warp import value_range
+from geomosaic.sensor.plugin import HasSensorPositions
 from geomosaic.types import AnyArray, FloatArray
 
 # Bands of an overlap, every second of which is held out.
@@ -313,7 +314,9 @@ def misregistration_notes(photos: Photos, pairs: list[Overlap], overlaps: int, c
 
     some = listed(map(named, pairs), 5, "; ")
     less = "colours are left as they are" if len(pairs) == overlaps else "they say nothing of colours"
+    models = [photos.block.scenes[i].model for pair in pairs for i in (pair.first, pair.second)]
+    radar = " (radar from two sides never does)" if any(isinstance(one, HasSensorPositions) for one in models) else ""
     return [
-        f"misregistered, {len(pairs)} of {overlaps} overlaps: what two images show at one place does not correlate, so "
-        f"{less}; a better orientation would let them: {some}"
+        f"misregistered, {len(pairs)} of {overlaps} overlaps: what two images show at one place does not correlate"
+        f"{radar}, so {less}; a better orientation would let them: {some}"
     ]
