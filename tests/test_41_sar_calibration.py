@@ -206,8 +206,8 @@ def test_a_table_gives_any_quantity_by_number_or_by_column(tmp_path):
 def test_missing_and_damaged_calibrations_are_refused_by_the_name_of_their_file(tmp_path):
     for number, (file, text, message) in enumerate(
         [
-            ("calibration", "", "the calibration of the product cannot be read"),
-            ("noise", "", "the thermal noise of the product cannot be read"),
+            ("calibration", "", "the calibration of the product does not exist"),
+            ("noise", "", "the thermal noise of the product does not exist"),
             ("calibration", calibration(LINES, PIXELS, TABLES, "VH"), "polarisation VH, the scene is VV"),
             ("calibration", calibration(LINES[::-1], PIXELS, TABLES), "do not grow"),
             ("calibration", calibration(LINES, PIXELS, {**TABLES, "sigmaNought": 0 * NOISE}), "not above 0"),
@@ -226,7 +226,7 @@ def test_missing_and_damaged_calibrations_are_refused_by_the_name_of_their_file(
         # What a hint names is an input of the sensor.
         named = set(re.findall(r"(\w+) = ", caught.value.hint))
         assert named <= {one.name for one in INPUTS}
-        assert not ("cannot be read" in message or "everywhere" in message) or named
+        assert not ("not exist" in message or "everywhere" in message) or named
     with pytest.raises(InputError, match="would do nothing"):
         _model(image, noise_removal=True)
     with pytest.raises(InputError, match="calibration = 'sigma' is not known"):

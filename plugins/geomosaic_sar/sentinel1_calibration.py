@@ -17,7 +17,7 @@ import numpy as np
 from geomosaic.errors import InputError, default_hint
 from geomosaic.sensor.inputs import parse_xml
 from geomosaic.types import FloatArray
-from geomosaic.whole_files import LARGEST_FILE
+from geomosaic.whole_files import read_bytes
 from geomosaic_sar.annotation import AGAIN, coefficients, number, text
 from geomosaic_sar.calibration import FLATTENED, NoiseBlock, PixelTable, SarCalibration, ThermalNoise
 
@@ -66,15 +66,13 @@ def read_calibration(annotation: Path, polarisation: str, kind: str, *, denoised
 
 def _content(file: Path, what: str, without: str) -> bytes:
     try:
-        if file.stat().st_size > LARGEST_FILE:
-            raise InputError(f"the file is too large to hold the {what} of a product", where=str(file), hint=AGAIN)
-        return file.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"the {what} of the product cannot be read ({error.strerror or error})", where=str(file),
-            hint="keep the folders of the product together (annotation/calibration beside annotation/NAME.xml), or "
-            + without,
-        ) from error  # fmt: skip
+        return read_bytes(file, f"{what} of the product")
+    except InputError as error:
+        error.hint = (
+            "keep the folders of the product together (annotation/calibration beside annotation/NAME.xml), or "
+            + without
+        )
+        raise
 
 
 def read_calibration_bytes(data: bytes, where: str, kind: str, polarisation: str | None = None) -> PixelTable:
