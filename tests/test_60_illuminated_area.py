@@ -40,7 +40,7 @@ class Hill(Land):
         facets = self.facets((860.0, 560.0) if steep else (500.0, 450.0), 2.0 if steep else 1.0)
         sent = facets.size * np.maximum(facets.cosine, 0.0)
         if steep:
-            sent[self.shaded(facets, 1300.0, 10.0)] = 0.0
+            sent[self.shaded(facets, 700.0, 20.0)] = 0.0
         row, _ = self._row_length()
         return facets.image(sent, self.scene.size) / (row * self.scene.spacing)
 
