@@ -61,7 +61,7 @@ def _least_cost_regions(
     weights: SeamWeights | None = None,
     layers: SeamLayers | None = None,
 ) -> list[Any]:
-    """Seam polygons of least cost, by graph cuts over image differences, raised objects and the lines and areas given."""
+    """Seam polygons of least cost, by graph cuts over image differences, raised objects and given lines and areas."""
     weights, layers, grid = weights or SeamWeights(), layers or SeamLayers(), _seam_grid(photos)
     candidates = _candidates(photos, grid, outlines, weights.reach)
     cost = seam_cost(photos, grid, candidates, colours, weights, layers, options)
