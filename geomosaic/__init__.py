@@ -49,6 +49,7 @@ _HOMES = {
     "sheet": "geomosaic.sheets.inputs",
     "sheet_scheme": "geomosaic.sheets.series.inputs",
     "sheet_series": "geomosaic.sheets.series.inputs",
+    "simulate_scene": "geomosaic.products.simulation",
     "write_reconstruction": "geomosaic.interchange.formats",
     # inputs
     "Block": "geomosaic.inputs.declarations",

@@ -39,6 +39,7 @@ from geomosaic.products.orthos import deskew as deskew
 from geomosaic.products.orthos import ortho as ortho
 from geomosaic.products.orthos import reproject as reproject
 from geomosaic.products.simulation import match_simulation as match_simulation
+from geomosaic.products.simulation import simulate_scene as simulate_scene
 from geomosaic.products.vector_edges import match_vector_edges as match_vector_edges
 from geomosaic.project.drafts import new_project as new_project
 from geomosaic.relief.contours import contours as contours

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,10 +18,8 @@ from sar_rig import Scene
 import geomosaic as gm
 from geomosaic.cli.main import run
 from geomosaic.errors import InputError
-from geomosaic.geo.grid import Window
 from geomosaic.inputs.build import build_block
 from geomosaic.products.simulation import SimulationMatch
-from geomosaic.render.illuminated_area import IlluminatedArea
 
 MOVED = np.array([20.0, 12.0])
 
@@ -117,8 +116,12 @@ def test_a_moved_scene_is_found_within_what_its_speckle_allows(
     """The shift, the covariance that is told of it, and the refinement of the sensor by the table."""
     given, land = small
     words = [given.images[0], "--sensor", "sar", "--dem", given.dem, "--dem-heights", "ellipsoidal", "--tile", "64"]
-    assert run(["simulate", *map(str, words), "-o", str(tmp_path / "control.csv"), "--json"]) == 0
+    files = {"-o": tmp_path / "control.csv", "--simulation": tmp_path / "simulated.tif"}
+    assert run(["simulate", *map(str, [*words, *chain(*files.items())]), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert all(file.exists() for file in files.values())
+    told = run(["simulate", *map(str, words), "-o", "one.csv", "--simulation", "one.csv"])
+    assert (told, "would be one file" in capsys.readouterr().err) == (1, True)
     shift, sigma = np.array(found["shift_px"]), np.array(found["sigma_px"])
     assert found["points"] >= 4
     assert (sigma < [0.12, 0.25]).all()
@@ -134,11 +137,15 @@ def test_layover_shadow_and_single_zeros_hinder_no_match(tmp_path: Path) -> None
     _, path = written(tmp_path, Scene(size=(200, 190)), 1, Peaks)
     scene = gm.Scene(path, "sar", dem=tmp_path / "dem.tif", dem_heights="ellipsoidal")
     with rasterio.open(path) as file:
-        assert 1 <= (file.read(1) == 0).sum() < 100
-    block = build_block(scene)
-    area = IlluminatedArea(block.scenes[0].model, block.surface).at(Window(0, 0, 200, 190))
-    assert np.isnan(area).sum() > 300
-    assert np.nanmax(area) > 6.0
+        amplitude = file.read(1)
+    assert 1 <= (amplitude == 0).sum() < 100
+    expected = gm.simulate_scene(scene, tmp_path / "simulated.tif").read()[0]
+    assert expected.shape == (190, 200)
+    assert expected.count() == expected.size
+    assert (expected < 0.05).sum() > 300
+    assert expected.max() > 6.0
+    moved = expected[:-12, :-20].ravel(), amplitude[12:, 20:].ravel() ** 2
+    assert np.corrcoef(*moved)[0, 1] > 0.5
     found = gm.match_simulation(scene, tile=48, reach=24)
     assert found.matched.whole == 6
     assert str(found).startswith("SimulationMatch('scene.tif', ")

@@ -44,6 +44,14 @@ _DEGREES = (
 )
 
 
+def image_crs() -> CRS:
+    """CRS of the pixels of an image: engineering coordinates, which no map program takes for metres somewhere."""
+    return CRS.from_wkt(
+        'ENGCRS["image pixels",EDATUM["image"],CS[Cartesian,2],AXIS["col",east],AXIS["row",south],'
+        'LENGTHUNIT["pixel",1]]'
+    )
+
+
 def parse_crs(text: str | CRS, where: str | None = None) -> CRS:
     """CRS of a text: an EPSG code, a PROJ string, WKT, the path of a .prj file, or 'local' for a frame without a place.
 

@@ -158,20 +158,15 @@ def _raster(path: Path) -> CorrectionGrid:
 
 def _write_raster(path: Path, grid: CorrectionGrid) -> None:
     from affine import Affine
-    from pyproj import CRS
 
+    from geomosaic.geo.crs import image_crs
     from geomosaic.geo.grid import Grid
     from geomosaic.raster.cog.codec import RasterMetadata, Samples
     from geomosaic.raster.sink import RasterSink
 
-    # The CRS of an image: engineering coordinates, so that no map program takes them for metres somewhere.
-    crs = CRS.from_wkt(
-        'ENGCRS["image pixels",EDATUM["image"],CS[Cartesian,2],AXIS["col",east],AXIS["row",south],'
-        'LENGTHUNIT["pixel",1]]'
-    )
     (width, height), (left, top) = grid.spacing.tolist(), (grid.origin - 0.5 * grid.spacing).tolist()
     rows, columns, _ = grid.nodes.shape
-    place = Grid(crs, Affine(width, 0.0, left, 0.0, height, top), columns, rows)
+    place = Grid(image_crs(), Affine(width, 0.0, left, 0.0, height, top), columns, rows)
     words = f"method = {grid.method}, beyond = {grid.beyond}"
     names = [f"{name} (pixels); {words}" for name in _COLUMNS[2:]]
     metadata = RasterMetadata(names)

@@ -6,20 +6,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from affine import Affine
 
+from geomosaic.block import OrientedImage
 from geomosaic.control.points import ControlPoints, Origin, mean_sigmas
 from geomosaic.errors import InputError, counted
-from geomosaic.geo.crs import crs_code, horizontal
-from geomosaic.geo.grid import Window
+from geomosaic.execution.units import map_units
+from geomosaic.geo.crs import crs_code, horizontal, image_crs
+from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_table import write_control
 from geomosaic.inputs.declarations import Block, on_ground
+from geomosaic.options.render import BLOCK_HEIGHT, RunningOptions
+from geomosaic.raster.cog.codec import RasterMetadata, Samples
+from geomosaic.raster.files import check_output
+from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
+from geomosaic.render.illuminated_area import WIDTH, IlluminatedArea
 from geomosaic.render.radar_simulation import SimulatedControl, matched_control
 from geomosaic.sensor.plugin import HasSensorPositions
 from geomosaic.surface.dem import Dem
+from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray, PathLike
+from geomosaic.whole_files import path_of
 
 # Fewest windows that place a scene with some certainty.
 LEAST = 4
@@ -72,6 +82,90 @@ class SimulationMatch:
         return write_control(path, {self.image: self.control})
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedScene(RasterProduct):
+    """Raster of the expected brightness of a radar scene, in its columns and rows.
+
+    Attributes
+    ----------
+    path : Path
+    grid : Grid
+        Pixels of the scene.
+    """
+
+    path: Path
+    grid: Grid
+
+
+def simulate_scene(
+    scene: Block,
+    output: PathLike,
+    *,
+    dem: PathLike | Dem | None = None,
+    dem_heights: str | None = None,
+    overwrite: bool = False,
+) -> SimulatedScene:
+    """Brightness of a radar scene that is expected of ground of gamma nought 1, from DEM and orbit alone.
+
+    Parameters
+    ----------
+    scene : Scene
+        Radar scene with its metadata; the raster itself is not read.
+    output : path
+        GeoTIFF of beta nought (float32), as wide and high as the scene: areas of layover add up, and shadow has next to
+        nothing. NaN where the ground is not known.
+    dem : path or Dem, optional
+        Ground, instead of the scene's own.
+    dem_heights : str, optional
+        Vertical datum of `dem`, where the file does not say it.
+    overwrite : bool
+        Replace the output if it exists.
+
+    Returns
+    -------
+    SimulatedScene
+
+    Raises
+    ------
+    InputError
+        The sensor is no radar, or there is no DEM with relief.
+    OutputExistsError, OutputError
+    """
+    target = path_of(output, "output")
+    files = on_ground(scene, dem, dem_heights).files if isinstance(scene, Block) else ()
+    check_output(target, overwrite=overwrite, inputs=files, geotiff=True)
+    one, surface = _radar_on_ground(scene, dem, dem_heights)
+    grid = Grid(image_crs(), Affine.identity(), *one.model.size)
+    metadata = RasterMetadata(("beta nought of ground of gamma nought 1",))
+    samples = Samples(1, "float32", nodata=float("nan"))
+    with RasterSink(target, grid, samples, metadata=metadata, overwrite=overwrite) as raster:
+        units = grid.window.split(WIDTH, BLOCK_HEIGHT)
+        for window, found in map_units(IlluminatedArea(one.model, surface).summed, units, RunningOptions()):
+            raster.write(window, found.astype(np.float32)[..., None], np.isfinite(found).astype(np.uint8))
+        raster.finish()
+    return SimulatedScene(target, grid)
+
+
+def _radar_on_ground(
+    scene: Block, dem: PathLike | Dem | None, dem_heights: str | None
+) -> tuple[OrientedImage, Surface]:
+    """The one radar scene, and its relief."""
+    if not isinstance(scene, Block):
+        raise InputError("an image does not tell its sensor", where="`scene`", hint="give `Scene(image, sensor)`")
+    block = build_block(on_ground(scene, dem, dem_heights))
+    if len(block.scenes) != 1:
+        raise InputError(f"one scene is simulated, and {len(block.scenes)} are given", where="`scene`", hint="give one")
+    one, surface = block.scenes[0], block.surface
+    if not isinstance(one.model, HasSensorPositions):
+        what = "only a side-looking radar is simulated"
+        raise InputError(what, where=str(one.path), hint="photos and scanners: `match` with a `reference`")
+    if surface is None or surface.range[0] == surface.range[1]:
+        raise InputError(
+            "level ground has no slopes to be recognised", where="`dem`", hint="give a DEM with its relief"
+        )
+    return one, surface
+
+
 def match_simulation(
     scene: Block,
     *,
@@ -104,19 +198,7 @@ def match_simulation(
     InputError
         The sensor is no radar, there is no DEM with relief, or too few windows look like their simulation.
     """
-    if not isinstance(scene, Block):
-        raise InputError("an image does not tell its sensor", where="`scene`", hint="give `Scene(image, sensor)`")
-    block = build_block(on_ground(scene, dem, dem_heights))
-    if len(block.scenes) != 1:
-        raise InputError(f"one scene is matched, and {len(block.scenes)} are given", where="`scene`", hint="give one")
-    one, surface = block.scenes[0], block.surface
-    if not isinstance(one.model, HasSensorPositions):
-        what = "only a side-looking radar is simulated"
-        raise InputError(what, where=str(one.path), hint="photos and scanners: `match` with a `reference`")
-    if surface is None or surface.range[0] == surface.range[1]:
-        raise InputError(
-            "level ground has no slopes to be recognised", where="`dem`", hint="give a DEM with its relief"
-        )
+    one, surface = _radar_on_ground(scene, dem, dem_heights)
     with Source(one.path, nodata=one.nodata, bands=one.bands, usable=one.usable, clouds=one.clouds) as source:
 
         def read(region: Window) -> tuple[FloatArray, BoolArray]:
