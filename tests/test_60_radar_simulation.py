@@ -29,6 +29,7 @@ class Downs(Land):
     """Hills everywhere, without layover or shadow, and a roughness finer than the DEM."""
 
     noise: ClassVar[float] = 0.0
+    step: ClassVar[float] = 4.0
 
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return self.coarse(x, y) + 0.6 * np.sin(x / 7.0) * np.sin(y / 9.0)
@@ -46,11 +47,11 @@ class Downs(Land):
         return facets.size * facets.cosine**2
 
     def speckled(self, seed: int, looks: int) -> np.ndarray:
-        """Amplitudes of the scene from facets of 4 m; nothing of the program takes part."""
+        """Amplitudes of the scene from facets; nothing of the program takes part."""
         half = 5.2 * self.scene.size[0], 6.2 * self.scene.size[1]
         mean = np.zeros(self.scene.size[::-1])
         for low in np.arange(-half[1], half[1], 2000.0):
-            facets = self.facets(half, 4.0, (low, min(low + 2000.0, half[1])))
+            facets = self.facets(half, self.step, (low, min(low + 2000.0, half[1])))
             moved = replace(facets, places=facets.places + MOVED)
             mean += moved.image(self.sent(facets), self.scene.size)
         mean += self.noise * mean.mean()
@@ -61,6 +62,7 @@ class Peaks(Downs):
     """Downs with peaks that have layover and shadow, where the scene shows thermal noise; whole, low amplitudes."""
 
     noise = 0.05
+    step = 6.0
 
     def coarse(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         out = super().coarse(x, y)
