@@ -132,7 +132,7 @@ class _Strips:
         values, there = _read(self._ours, window)
         sampled, seen = _sampled(self._theirs, self._own, grid.crop(window), Transform(grid.crs, self._own.crs))
         both = there & seen
-        moved = match(sampled[..., : self.bands], values[..., : self.bands], both, self._tile, self._reach)
+        moved = _match(sampled[..., : self.bands], values[..., : self.bands], both, self._tile, self._reach)
         # Strips overlap by the margins of matching; each row counts once for the colours.
         new = slice(None) if last else slice(None, self._height)
         off = sampled[new][both[new]][:, : self.bands] - values[new][both[new]][:, : self.bands]
@@ -141,18 +141,8 @@ class _Strips:
         )
 
 
-def match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, reach: int = 8) -> Shifts:
-    """Shifts of `second` against `first` in their mean grey.
-
-    Parameters
-    ----------
-    first, second : array (rows, cols, bands)
-        Values on the same grid.
-    both : bool array (rows, cols)
-        Pixels that both have.
-    tile, reach : int
-        Side of a tile and largest shift, pixels; see `geomosaic.matching.shifts.shifts`.
-    """
+def _match(first: AnyArray, second: AnyArray, both: BoolArray, tile: int = 64, reach: int = 8) -> Shifts:
+    """Shifts of `second` against `first` (rows, cols, bands) in their mean grey, of tiles of pixels that both have."""
     return shifts(first.mean(axis=2), second.mean(axis=2), both, tile, reach)
 
 
@@ -288,25 +278,8 @@ def _text(name: str) -> str:
     return own.get(name) or (QUANTITIES[name].text if name in QUANTITIES else name.replace("_", " "))
 
 
-def judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ...]:
-    """Verdicts on all requirements of a target that a finished map shows.
-
-    Parameters
-    ----------
-    found : MapCheck
-        `statistics.survey_rms` is judged where it was given.
-    target : tuple of Requirement
-
-    Returns
-    -------
-    tuple of Verdict
-        In the order of the target.
-
-    Raises
-    ------
-    InputError
-        The map is in degrees.
-    """
+def _judge(found: MapCheck, target: tuple[Requirement, ...]) -> tuple[Verdict, ...]:
+    """Verdicts on all requirements of a target that a finished map shows; `survey_rms` is judged where it was given."""
     crs = found.grid.crs
     if not crs.is_projected:
         raise InputError("a map in degrees has no pixel in metres", where="`target`", hint="reproject the raster first")
@@ -368,5 +341,5 @@ def check(raster: PathLike, points: PathLike, *, insist: bool = False, **options
         for unit, value, limit in limits
         if limit is not None
     ]
-    target = judge(found, read_target(wanted.target)) if wanted.target is not None else ()
+    target = _judge(found, read_target(wanted.target)) if wanted.target is not None else ()
     return replace(found, verdicts=(*verdicts, *target))

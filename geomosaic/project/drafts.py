@@ -120,7 +120,7 @@ def new_project(
     if angles is None and carried.inputs.angles != Block.angles:
         angles = carried.inputs.angles
     draft = draft_project(file, carried, angles)
-    write_project(draft, overwrite=overwrite)
+    _write_project(draft, overwrite=overwrite)
     return draft
 
 
@@ -159,22 +159,8 @@ def draft_project(path: Path, carried: EmbeddedInputs, angles: str | None) -> Dr
     return Draft(path, text, recognised, [*carried.needed, *needed], misfit, aside)
 
 
-def write_project(draft: Draft, *, overwrite: bool = False) -> None:
-    """Write a draft to its project file.
-
-    Parameters
-    ----------
-    draft : Draft
-    overwrite : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    OutputExistsError
-        The file exists.
-    OutputError
-        Writing failed.
-    """
+def _write_project(draft: Draft, *, overwrite: bool = False) -> None:
+    """Write a draft to its project file."""
     if draft.path.exists() and not overwrite:
         raise OutputExistsError("the project exists", where=str(draft.path), hint="give another name, or `overwrite`")
     write_atomic(draft.path, draft.text)

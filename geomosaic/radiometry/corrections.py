@@ -28,21 +28,8 @@ SHARED = ("vignetting", "trend", "hotspot")
 TERMS = (*SHARED, "haze", "gamma", "dodging")
 
 
-def width(terms: Collection[str], cameras: int) -> int:
-    """Number of shared functions of a set of terms.
-
-    Parameters
-    ----------
-    terms : collection of str
-        Of `TERMS`; those that images do not share add none.
-    cameras : int
-        Cameras of the block; each has a vignetting of its own.
-
-    Returns
-    -------
-    int
-        Columns of `shared_functions`.
-    """
+def _width(terms: Collection[str], cameras: int) -> int:
+    """Number of shared functions, columns of `shared_functions`, of a set of terms; each camera has a vignetting."""
     return (
         RADIAL * cameras * ("vignetting" in terms) + TREND * ("trend" in terms) + NODES * NODES * ("hotspot" in terms)
     )
@@ -115,7 +102,7 @@ def prior_normal_matrix(terms: Collection[str], cameras: int) -> FloatArray:
     """
     # Standard deviations in logarithms of a gain: 1 of coefficients of vignetting, 0.5 of a trend's and of a hotspot's
     # nodes, 0.1 of second differences of these nodes.
-    size = width(terms, cameras)
+    size = _width(terms, cameras)
     normal, at = np.zeros((size, size)), 0
     if "vignetting" in terms:
         here = np.arange(at, at + RADIAL * cameras)

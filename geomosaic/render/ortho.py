@@ -201,19 +201,8 @@ class GeometryRecord:
         return finite_median(np.array(self.scales))
 
 
-def tiles(grid: Grid, width: int) -> list[Window]:
-    """Work units of an ortho: rows of blocks from the upper left.
-
-    Parameters
-    ----------
-    grid : Grid
-    width : int
-        Of a unit, output pixels.
-
-    Returns
-    -------
-    list of Window
-    """
+def _tiles(grid: Grid, width: int) -> list[Window]:
+    """Work units of an ortho: rows of blocks from the upper left, `width` output pixels wide."""
     return grid.window.split(width, BLOCK_HEIGHT)
 
 
@@ -288,7 +277,7 @@ def stack(
     info = drawn.info
     check_output_size(output, grid, info.pixel_bytes, options.max_output)
     record, seen, hidden = GeometryRecord(), 0, 0
-    units = tiles(grid, options.tile)
+    units = _tiles(grid, options.tile)
     try:
         with (
             workers_for(options) as run,

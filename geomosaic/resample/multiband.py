@@ -93,14 +93,8 @@ def _both_of(one: slice, other: slice) -> slice:
     return slice(start, max(start, min(one.stop, other.stop)))
 
 
-def within(outer: slice, inner: slice) -> slice:
-    """Slice counted from the start of one that holds it.
-
-    Parameters
-    ----------
-    outer, inner : slice
-        With start and stop.
-    """
+def _within(outer: slice, inner: slice) -> slice:
+    """Slice counted from the start of one that holds it."""
     return slice(inner.start - outer.start, inner.stop - outer.start)
 
 
@@ -325,10 +319,10 @@ def corrected(
         difference = None
         if own is not None:
             rows, cols = _both_of(rows, own.part.rows), _both_of(cols, own.part.cols)
-            difference = own.values[:, within(own.part.rows, rows), within(own.part.cols, cols)]
+            difference = own.values[:, _within(own.part.rows, rows), _within(own.part.cols, cols)]
         join(
             view.values[rows, cols], difference, None if blend is None else blend[:, rows, cols],
-            label[rows, cols], i, value_range(str(out.dtype)), out[within(inside[0], rows), within(inside[1], cols)],
+            label[rows, cols], i, value_range(str(out.dtype)), out[_within(inside[0], rows), _within(inside[1], cols)],
         )  # fmt: skip
 
 

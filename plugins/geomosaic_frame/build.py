@@ -112,27 +112,8 @@ def check_camera_keys(table: Mapping[str, Any], where: str) -> None:
         known_keys(table, dict.fromkeys((*KEYS, *certificate.KEYS)), where)
 
 
-def camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[CameraModel, list[str]]:
-    """Camera of the image at hand, scaled to a reduced copy.
-
-    Parameters
-    ----------
-    table : mapping
-        As in `camera.toml`.
-    request : SensorRequest
-        Size in pixels, options on film.
-
-    Returns
-    -------
-    camera : CameraModel
-    notes : list of str
-        What was done to it.
-
-    Raises
-    ------
-    InputError
-        The table is not complete or does not fit the image, or options on film are given for a digital camera.
-    """
+def _camera_of(table: Mapping[str, Any], request: SensorRequest) -> tuple[CameraModel, list[str]]:
+    """Camera of the image at hand, scaled to a reduced copy, and notes on what was done to it."""
     where = f"{request.image}, camera"
     if "fiducials" in table:
         from geomosaic_frame.fiducials import film_camera
@@ -174,7 +155,7 @@ def build_frame(request: SensorRequest) -> FrameModel:
     """
     where, options = request.image, request.options
     table, row = _camera_and_orientation(request)
-    camera, notes = camera_of(table, request)
+    camera, notes = _camera_of(table, request)
     # What a table of orientations tells is of use to a rolling shutter, and none to others.
     moving = {key: row[key] for key in ("velocity", "rates") if key in row}
     if camera.shutter is not None:

@@ -83,30 +83,8 @@ class AngleSystem:
     optional: tuple[str, ...] = ()
 
 
-def angles(row: Mapping[str, Any], names: tuple[str, ...], unit: str, where: str) -> list[float]:
-    """Angles of a row in radians.
-
-    Parameters
-    ----------
-    row : mapping
-        Orientation row.
-    names : tuple of str
-        Of the angles.
-    unit : str
-        A key of `FULL_CIRCLE`.
-    where : str
-        Named in errors.
-
-    Returns
-    -------
-    list of float
-        In the order of `names`.
-
-    Raises
-    ------
-    InputError
-        An angle is missing, no number, or exceeds a full circle; names it and the unit that is probably meant.
-    """
+def _angles(row: Mapping[str, Any], names: tuple[str, ...], unit: str, where: str) -> list[float]:
+    """Angles of a row in radians; an error names one that is missing or beyond a full circle, and the unit meant."""
     values = {name: number(need(row, name, where, f"an angle in {unit}"), name, where) for name in names}
     limit = FULL_CIRCLE[unit]
     for name, value in values.items():
@@ -127,12 +105,12 @@ def _unit(value: float, unit: str) -> str:
 
 
 def _opk(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
-    omega, phi, kappa = angles(row, ("omega", "phi", "kappa"), unit, where)
+    omega, phi, kappa = _angles(row, ("omega", "phi", "kappa"), unit, where)
     return Attitude(omega_phi_kappa(omega, phi, kappa), "grid")
 
 
 def _pok(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
-    phi, omega, kappa = angles(row, ("phi", "omega", "kappa"), unit, where)
+    phi, omega, kappa = _angles(row, ("phi", "omega", "kappa"), unit, where)
     return Attitude(r3(kappa) @ r1(omega) @ r2(phi), "grid")
 
 
@@ -168,12 +146,12 @@ def _platform(yaw: float, pitch: float, roll: float) -> FloatArray:
 
 
 def _rpy(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
-    roll, pitch, yaw = angles(row, ("roll", "pitch", "yaw"), unit, where)
+    roll, pitch, yaw = _angles(row, ("roll", "pitch", "yaw"), unit, where)
     return Attitude(_SWAP @ _platform(yaw, pitch, roll).T @ _SWAP, "local")
 
 
 def _dji(row: Mapping[str, Any], unit: str, where: str) -> Attitude:
-    yaw, pitch, roll = angles(row, ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"), unit, where)
+    yaw, pitch, roll = _angles(row, ("gimbal_yaw", "gimbal_pitch", "gimbal_roll"), unit, where)
     return Attitude(_FORWARD @ _platform(yaw, pitch, roll).T @ _SWAP, "local")
 
 

@@ -57,25 +57,8 @@ NOMINAL = {"position": 0.05, "speed": 0.05, "angles": math.degrees(0.05), "rates
 MEASURED = {"position": 1.0, "speed": 0.0, "angles": 0.5, "rates": 0.0}
 
 
-def adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: float) -> PanoramicModel:
-    """Model corrected by the control points of a request, where it has any.
-
-    Parameters
-    ----------
-    model : PanoramicModel
-    request : SensorRequest
-    crs : CRS
-        3-D, of the points.
-    above : float
-        Height of the position above the ground, metres.
-
-    Raises
-    ------
-    InputError
-        The inputs are no control points or no sigmas.
-    SolveError
-        The scanner sees none of the points.
-    """
+def _adjusted(model: PanoramicModel, request: SensorRequest, crs: CRS, above: float) -> PanoramicModel:
+    """Model corrected by the control points of a request, where it has any, `above` metres over the ground."""
     where, options = request.image, request.options
     sigmas = _sigmas(model, request, above)
     refine = word(options, "refine", ("points", "none"), where, "points")
@@ -198,7 +181,7 @@ def _of_optical_bar(request: SensorRequest) -> PanoramicModel:
         scan, frame, values, above = read_optical_bar(read_text(file, "camera"), request.size, str(file))
     x, y, z = frame.origin.tolist()
     model = PanoramicModel(scan, frame, _parameters("panoramic", scan, values, above), (x, y, z))
-    return adjusted(_seen(model, above), request, request.crs or frame.crs, above)
+    return _adjusted(_seen(model, above), request, request.crs or frame.crs, above)
 
 
 def _placed(request: SensorRequest) -> PanoramicModel:
@@ -266,7 +249,7 @@ def _placed(request: SensorRequest) -> PanoramicModel:
     x, y, z = Transform(request.crs, frame.crs)(seed[None])[0].tolist()
     parameters = _parameters(kind, scan, values, above)
     model = _seen(PanoramicModel(scan, frame, parameters, (x, y, z), poses, tuple(notes), correction), above)
-    return adjusted(model, request, request.crs, above)
+    return _adjusted(model, request, request.crs, above)
 
 
 def _scan(kind: str, request: SensorRequest) -> Scan:

@@ -45,35 +45,12 @@ def _least_squares(
     return equations.step(), equations.condition()[0], equations.parameter_cofactors()
 
 
-def conformal(
+def _conformal(
     uv: FloatArray, image: FloatArray, root: FloatArray, axes: str | None, where: str | None
 ) -> tuple[tuple[FloatArray, float, FloatArray], str]:
-    """Conformal transformation and the handedness of the image's axes.
+    """Conformal transformation, normalised ground (N, 2) to (col, row), and the handedness of the image's axes.
 
-    Parameters
-    ----------
-    uv : array (N, 2)
-        Normalised ground.
-    image : array (N, 2)
-        col, row in pixels.
-    root : array (N,)
-        Square roots of the weights.
-    axes : str, optional
-        'left' or 'right'.
-    where : str, optional
-        Named in errors.
-
-    Returns
-    -------
-    solved : tuple
-        Coefficients a, b, tx, ty (4,) in pixels, condition number and cofactors (4, 4).
-    axes : str
-        'left' or 'right'.
-
-    Raises
-    ------
-    SolveError
-        The points do not determine the transformation.
+    `root` (N,) are square roots of the weights; the solution is a, b, tx, ty in pixels, condition and cofactors (4, 4).
     """
     # Where the handedness is not given, both are fitted. Axes are left-handed (rows downwards) unless the other fit is
     # better beyond chance: two points, or points on a line, fit either way and decide nothing.
@@ -93,35 +70,10 @@ def conformal(
     return tried[chosen][0], chosen
 
 
-def linear(
+def _linear(
     order: int, uv: FloatArray, image: FloatArray, root: FloatArray, label: str, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Affine or polynomial transformation, linear in its coefficients.
-
-    Parameters
-    ----------
-    order : int
-        Degree; 1 is affine.
-    uv, image, root
-        As for `conformal`.
-    label : str
-        Kind of transformation, for the message.
-    where : str, optional
-        Named in errors.
-
-    Returns
-    -------
-    values : array (2·T,)
-        Coefficients of col, then of row, pixels.
-    condition : float
-        Condition number of the design.
-    cofactors : array (2·T, 2·T)
-
-    Raises
-    ------
-    SolveError
-        The points do not determine the transformation.
-    """
+    """Affine (order 1) or polynomial transformation: coefficients of col, then of row, condition and cofactors."""
     # Columns and rows share one design: solve it once for both.
     terms = basis(order, uv)
     solution, condition, cofactors = _least_squares(terms * root[:, None], image * root[:, None], label, where)
@@ -159,28 +111,12 @@ class _Projective(Problem[FloatArray]):
         return (self.image - evaluate("projective", 1, values, self.uv)) * self.root[:, None]
 
 
-def projective(
+def _projective(
     uv: FloatArray, image: FloatArray, root: FloatArray, where: str | None
 ) -> tuple[FloatArray, float, FloatArray]:
     """Projective transformation: direct linear start, then least squares of the residuals in pixels.
 
-    Parameters
-    ----------
-    uv, image, root, where
-        As for `conformal`.
-
-    Returns
-    -------
-    values : array (8,)
-        a0, a1, a2, b0, b1, b2 in pixels, c1, c2 without unit.
-    condition : float
-        Condition number of the design at the solution.
-    cofactors : array (8, 8)
-
-    Raises
-    ------
-    SolveError
-        The points do not determine the transformation, or lie on both sides of its horizon.
+    The coefficients are a0, a1, a2, b0, b1, b2 in pixels, c1, c2 without unit, with condition and cofactors (8, 8).
     """
     # The direct linear solution minimises an algebraic error, in which distant points weigh more; only the second step
     # minimises what was measured.
@@ -313,11 +249,11 @@ def fit_planar(
         return _spline(uv, image, centre, scale, where)
     handed = "left"
     if kind == "conformal":
-        solved, handed = conformal(uv, image, root, axes, where)
+        solved, handed = _conformal(uv, image, root, axes, where)
     elif kind == "projective":
-        solved = projective(uv, image, root, where)
+        solved = _projective(uv, image, root, where)
     else:
-        solved = linear(order, uv, image, root, label, where)
+        solved = _linear(order, uv, image, root, label, where)
     values, condition, cofactors = solved
     residuals = image - evaluate(kind, order, values, uv, handed)
     redundancy = 2 * count - len(values)

@@ -39,28 +39,18 @@ def with_cutlines(shares: Sequence[Any], drawn: Mapping[int, Any]) -> list[Any]:
     for number in sorted(drawn):
         shape = shapely.make_valid(drawn[number])
         # An overlay without need would move vertices in their last digits, and a rerun would find all tiles changed.
-        result[number] = polygonal(shape.difference(taken)) if significant(shape.intersection(taken), shape) else shape
+        result[number] = polygonal(shape.difference(taken)) if _significant(shape.intersection(taken), shape) else shape
         taken = taken.union(result[number])
     tree = shapely.STRtree(list(shares))
     for number, share in enumerate(shares):
         rest = polygonal(share.difference(taken)) if len(tree.query(taken)) else share
-        if significant(rest, share):
+        if _significant(rest, share):
             result[number] = polygonal(result[number].union(rest))
     return result
 
 
-def significant(part: Any, whole: Any) -> bool:
-    """Whether an area is more than rounding in an overlay leaves: a part in 10⁸ of another.
-
-    Parameters
-    ----------
-    part, whole : geometry
-        In one map.
-
-    Returns
-    -------
-    bool
-    """
+def _significant(part: Any, whole: Any) -> bool:
+    """Whether an area is more than rounding in an overlay leaves: a part in 10⁸ of another."""
     return bool(part.area > 1e-8 * whole.area)
 
 
@@ -152,7 +142,7 @@ def read_cutlines(path: Path, names: Sequence[str], outlines: Sequence[Any], crs
                 hint="draw within its footprint; or is this the file of another block?",
             )
         # Cut only where needed: an overlay would move the vertices of a share that was not edited.
-        beyond = significant(moved.difference(outline), outline)
+        beyond = _significant(moved.difference(outline), outline)
         found.setdefault(number, []).append(polygonal(moved.intersection(outline)) if beyond else moved)
     drawn = {
         number: parts[0] if len(parts) == 1 else shapely.union_all(np.array(parts, dtype=object))
@@ -197,7 +187,7 @@ def _warn_of_overlaps(drawn: Mapping[int, Any], names: Sequence[str], where: str
     overlaps = []
     for i, j in sorted(zip(*shapely.STRtree(shapes).query(shapes, predicate="intersects").tolist(), strict=True)):
         part = shapely.intersection(shapes[i], shapes[j]) if i < j else None
-        if part is not None and (significant(part, shapes[i]) or significant(part, shapes[j])):
+        if part is not None and (_significant(part, shapes[i]) or _significant(part, shapes[j])):
             a, b = names[numbers[i]], names[numbers[j]]
             overlaps.append(f"'{a}' and '{b}' overlap by {part.area:.4g} square map units, which '{a}' shows")
     if overlaps:

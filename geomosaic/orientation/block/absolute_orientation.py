@@ -89,7 +89,7 @@ class Correspondences:
         declared, freedom = float(np.median(self.sigma)), 3 * len(self.free) - 7
         if freedom < 5 or not np.ptp(self.free, axis=0).any():  # three places always fit well
             return declared
-        off = similarity(self).places(self.free) - self.known
+        off = _similarity(self).places(self.free) - self.known
         return min(declared, float(np.sqrt((off**2).sum() / chi2.ppf(CHANCE, freedom))))
 
 
@@ -117,7 +117,7 @@ def absolute_orientation(given: Correspondences) -> tuple[Similarity, BoolArray]
         sample = given.select(rows)
         if not sample.determine:
             continue
-        off = np.linalg.norm(similarity(sample).places(given.free) - given.known, axis=1) / tolerance
+        off = np.linalg.norm(_similarity(sample).places(given.free) - given.known, axis=1) / tolerance
         total = float(np.sum(np.minimum(off, 1.0) ** 2))
         if total < cost and np.count_nonzero(off <= 1.0) >= count / 2:
             best, cost = off <= 1.0, total
@@ -125,19 +125,13 @@ def absolute_orientation(given: Correspondences) -> tuple[Similarity, BoolArray]
         part = given.select(best)
         if not part.determine:
             return None
-        found = similarity(part)
+        found = _similarity(part)
         best = np.linalg.norm(found.places(given.free) - given.known, axis=1) <= tolerance
     return found, best
 
 
-def similarity(given: Correspondences) -> Similarity:
-    """Similarity of least squares, in closed form.
-
-    Parameters
-    ----------
-    given : Correspondences
-        They determine one.
-    """
+def _similarity(given: Correspondences) -> Similarity:
+    """Similarity of least squares, in closed form."""
     weight = 1.0 / given.sigma**2
     share = weight / weight.sum()
     middle, target = share @ given.free, share @ given.known

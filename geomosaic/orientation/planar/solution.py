@@ -57,21 +57,14 @@ def joins(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> list
     transforms : mapping of str to PlanarTransform
         By photo.
     """
-    places = positions(block, transforms)
+    places = _positions(block, transforms)
     names = [photo.name for photo in block.photos if photo.name in transforms]
     found = [join(a, b, transforms, places) for i, a in enumerate(names) for b in names[i + 1 :]]
     return [one for one in found if one is not None]
 
 
-def positions(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> dict[str, dict[str, FloatArray]]:
-    """Map position (2,) of each measured point by each placed photo that shows it: photo → point → position.
-
-    Parameters
-    ----------
-    block : PlanarBlock
-    transforms : mapping of str to PlanarTransform
-        By photo.
-    """
+def _positions(block: PlanarBlock, transforms: Mapping[str, PlanarTransform]) -> dict[str, dict[str, FloatArray]]:
+    """Map position (2,) of each measured point by each placed photo that shows it: photo → point → position."""
     return {name: positions_by(block, transform) for name, transform in transforms.items()}
 
 
@@ -105,7 +98,7 @@ def join(
     transforms : mapping of str to PlanarTransform
         By photo.
     places : mapping
-        Map position (2,) of each point by photo, see `positions`.
+        Map position (2,) of each point by photo, see `_positions`.
     """
     shared = [point for point in places[first] if point in places[second]]
     if not shared:

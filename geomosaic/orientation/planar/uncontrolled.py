@@ -130,7 +130,7 @@ def middle(block: PlanarBlock) -> str:
     """
     # Errors accumulate with each join, so the start is the photo from which the farthest photo is the fewest joins
     # away; of several, the one with the smallest sum of joins to all others.
-    near = neighbours(block)
+    near = _neighbours(block)
     best: tuple[int, int, int, int] | None = None
     found = block.photos[0].name
     for number, photo in enumerate(block.photos):
@@ -146,18 +146,8 @@ def middle(block: PlanarBlock) -> str:
     return found
 
 
-def neighbours(block: PlanarBlock) -> dict[str, list[str]]:
-    """Neighbours of each photo: those that share two points or more with it.
-
-    Parameters
-    ----------
-    block : PlanarBlock
-
-    Returns
-    -------
-    dict of str to list of str
-        Names in the order of the block's photos.
-    """
+def _neighbours(block: PlanarBlock) -> dict[str, list[str]]:
+    """Neighbours of each photo: those that share two points or more with it."""
     # Two points are what a conformal transformation, the least of the models, needs.
     points: dict[str, list[str]] = {}
     for measured in block.measurements:

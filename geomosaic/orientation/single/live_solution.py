@@ -136,8 +136,8 @@ def live_solution(problem: ControlAdjustment, used: BoolArray) -> LiveSolution:
     numbers[used] = fit.redundancy_numbers
     sigma0, rms = (np.full(len(problem), np.nan) for _ in range(2))
     if own is None and len(problem) <= MOST_TOGGLED:
-        sigma0, rms = toggled(problem, fit, used, residuals)
-    found, clean = (Judgement.of_none(len(problem)), fit) if own is not None else judged(problem, used, fit)
+        sigma0, rms = _toggled(problem, fit, used, residuals)
+    found, clean = (Judgement.of_none(len(problem)), fit) if own is not None else _judged(problem, used, fit)
     errors, wrong = np.hypot(*problem.errors(clean.model).T), np.flatnonzero(found.wrong)
     order = wrong[np.argsort(found.probability[wrong], kind="stable")].tolist()
     return LiveSolution(
@@ -155,20 +155,10 @@ def live_solution(problem: ControlAdjustment, used: BoolArray) -> LiveSolution:
     )
 
 
-def toggled(
+def _toggled(
     problem: ControlAdjustment, fit: ControlFit, used: BoolArray, residuals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Sigma0 (N,) and RMS residuals (N,), pixels, of the fit with each point switched over, see `LiveSolution`.
-
-    Parameters
-    ----------
-    problem : ControlAdjustment
-    fit : ControlFit
-        Of the points in use.
-    used : bool array (N,)
-    residuals : array (N, 2)
-        Of all points, pixels.
-    """
+    """Sigma0 (N,) and RMS residuals (N,), pixels, of the fit with each point switched over, see `LiveSolution`."""
     count, sigma = len(problem), problem.sigma
     weighted = residuals / sigma[:, None]
     design = jacobian(fit.model, problem.xyz)[0] / sigma[:, None, None]
@@ -196,18 +186,11 @@ def toggled(
     return np.where(good & (freedom > 0), sigma0, np.nan), np.where(number > 0, rms, np.nan)
 
 
-def judged(problem: ControlAdjustment, used: BoolArray, fit: ControlFit) -> tuple[Judgement, ControlFit]:
+def _judged(problem: ControlAdjustment, used: BoolArray, fit: ControlFit) -> tuple[Judgement, ControlFit]:
     """Judgement on the points in use, as one on all N, and the fit without those that are wrong.
 
     Nothing is taken from a-priori sigmas, which nobody knows while points are measured: the scatter of the points that
     agree judges the others.
-
-    Parameters
-    ----------
-    problem : ControlAdjustment
-    used : bool array (N,)
-    fit : ControlFit
-        Of the points in use.
     """
     whole, clean, wrong = problem.subset(used), fit, np.zeros(int(used.sum()), dtype=np.bool_)
     for _ in range(ROUNDS):

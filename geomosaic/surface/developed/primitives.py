@@ -83,7 +83,7 @@ class Axes:
         InputError
             A direction has no length, or zero runs along the axis.
         """
-        along = unit(axis, "axis", where)
+        along = _unit(axis, "axis", where)
         first = _beside(along, "axis", zero, "zero", np.eye(3)[[0, 1]], where)
         return cls(np.asarray(origin, dtype=np.float64), np.array([first, np.cross(along, first), along]))
 
@@ -105,7 +105,7 @@ class Axes:
         InputError
             A direction has no length, or up runs along the normal.
         """
-        out = unit(normal, "normal", where)
+        out = _unit(normal, "normal", where)
         top = _beside(out, "normal", up, "up", np.eye(3)[[2, 1]], where)
         return cls(np.asarray(origin, dtype=np.float64), np.array([np.cross(top, out), top, out]))
 
@@ -134,24 +134,8 @@ def turned(matrix: FloatArray, xyz: FloatArray) -> FloatArray:
     return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
 
 
-def unit(vector: FloatArray, name: str, where: str) -> FloatArray:
-    """Unit vector along a direction.
-
-    Parameters
-    ----------
-    vector : array (3,)
-    name, where : str
-        Of the parameter and of what it belongs to, for errors.
-
-    Returns
-    -------
-    array (3,)
-
-    Raises
-    ------
-    InputError
-        The vector has no length, or is not finite.
-    """
+def _unit(vector: FloatArray, name: str, where: str) -> FloatArray:
+    """Unit vector along a direction, refused where it has no length or is not finite."""
     given = np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(given))
     if not (np.isfinite(length) and length > 1e-12):
@@ -165,7 +149,7 @@ def _beside(
     along: FloatArray, main: str, given: FloatArray | None, name: str, else_towards: FloatArray, where: str
 ) -> FloatArray:
     """Unit vector across a direction: towards what is given, else towards the first (2, 3) that does not run along."""
-    wanted = else_towards if given is None else unit(given, name, where)[None]
+    wanted = else_towards if given is None else _unit(given, name, where)[None]
     across = wanted - (wanted @ along)[:, None] * along
     lengths = np.linalg.norm(across, axis=1)
     k = 0 if given is not None or lengths[0] >= 0.1 else 1
