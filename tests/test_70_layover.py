@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -102,11 +103,24 @@ def test_the_command_says_what_share_is_hidden(place: tuple[Path, Land], capsys:
     assert run([str(word) for word in words]) == 0
     assert "% layover" in capsys.readouterr().out
     assert not (folder / "told-incidence.tif").exists()
-    words.remove("--no-incidence")
-    assert run([str(word) for word in [*words, "--overwrite", "--workers", "1", "--json"]]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert 0.0 < told["shares"]["shadow"] < 0.2
-    assert told["run"]["workers"][0]["units"] == {"classes": 1, "incidence": 1}  # one process does both
+    assert run([str(word) for word in [*words, "--overwrite", "--json"]]) == 0
+    assert 0.0 < json.loads(capsys.readouterr().out)["shares"]["shadow"] < 0.2
+
+
+def test_both_rasters_are_made_by_one_pool_of_workers(place: tuple[Path, Land], tmp_path: Path) -> None:
+    folder, land = place
+    scene = gm.Scene(folder / "right.tif", "sar", dem=folder / "dem.tif", dem_heights="ellipsoidal")
+    here = gm.layover_mask(scene, tmp_path / "here.tif", **{**area(land), "resolution": 80.0})
+    with ThreadPoolExecutor(1) as workers:
+        there = gm.layover_mask(scene, tmp_path / "there.tif", **{**area(land), "resolution": 80.0}, workers=workers)
+    for one, other in ((here.path, there.path), (here.incidence, there.incidence)):
+        assert one is not None
+        assert other is not None
+        assert one.read_bytes() == other.read_bytes()
+    assert here.run is None
+    assert there.run is not None
+    (worker,) = there.run.workers.values()
+    assert worker.units == {"classes": 1, "incidence": 1}
 
 
 def test_what_has_no_layover_is_refused(place: tuple[Path, Land], sample: Path) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import platform
+import re
 import shutil
 import signal
+import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import replace
@@ -135,13 +137,15 @@ def test_units_that_grow_on_the_way_end_their_task_early(monkeypatch) -> None:
     assert found == [(k, k) for k in range(90)]
 
 
-def test_a_process_that_hangs_is_replaced(monkeypatch, tmp_path) -> None:
+def test_a_process_that_hangs_or_is_over_its_memory_is_replaced(monkeypatch, tmp_path) -> None:
+    """In the middle of a unit it is ended, and the unit is begun again."""
     monkeypatch.setattr("geomosaic.execution.unit_times.LEAST_PATIENCE", 4.0)
-    options = RenderOptions(workers=1)
+    options = RenderOptions(workers=1, memory_limit=256 << 20)
     with workers_for(options) as run:
-        assert [value for _, value in map_units(worker_rig.hangs_once, [str(tmp_path / "marker")], options)] == ["done"]
+        for unit in (worker_rig.hangs_once, worker_rig.hungry_once):
+            assert [value for _, value in map_units(unit, [str(tmp_path / unit.__name__)], options)] == ["done"]
     assert run is not None
-    assert run.lost == {"hung": 1}
+    assert run.lost == {"hung": 1, "memory": 1}
 
 
 @pytest.mark.slow
@@ -151,16 +155,6 @@ def test_a_unit_that_always_hangs_is_named(monkeypatch) -> None:
     with pytest.raises(WorkerError, match=r"lost every time \(no answer in \d+ s\)") as caught:
         list(map_units(worker_rig.hangs, [0, 1], RenderOptions(workers=1)))
     assert caught.value.where == "1"
-
-
-def test_a_process_over_its_memory_is_replaced(tmp_path) -> None:
-    """In the middle of a unit it is ended, and the unit is begun again."""
-    options = RenderOptions(workers=1, memory_limit=256 << 20)
-    with workers_for(options) as run:
-        units = map_units(worker_rig.hungry_once, [str(tmp_path / "marker")], options)
-        assert [value for _, value in units] == ["done"]
-    assert run is not None
-    assert run.lost == {"memory": 1}
 
 
 @pytest.mark.slow
@@ -180,33 +174,65 @@ def test_what_a_process_keeps_between_units_does_not_grow_beyond_its_memory() ->
     assert (kept.count(1) >= 2, len(run.workers) >= 2, run.lost.total()) == (True, True, 0)
 
 
-def test_tiles_that_a_cluster_made_are_kept_when_a_worker_and_then_the_scheduler_are_killed(few, tmp_path) -> None:
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory) -> Iterator[tuple[Any, list[subprocess.Popen[bytes]]]]:
+    """Cluster of two workers without nannies, which its last test here kills."""
+    pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
+    import dask
+
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "2s"}),
+        cluster(tmp_path_factory.mktemp("dask"), nannies=False) as started,
+    ):
+        yield started
+
+
+def test_a_worker_that_cannot_do_the_work_is_named(pair, few, tmp_path, monkeypatch) -> None:
+    """It sees other files than the client, which names them by way of its own folder; or it has too little memory."""
+    client, _ = pair
+    block, _ = few
+    monkeypatch.chdir(block.images[0].parent)
+    unseen = replace(block, images=tuple(Path("/proc/self/cwd") / path.name for path in block.images))
+    if unseen.images[0].exists():  # on Linux
+        with pytest.raises(RasterReadError) as caught:
+            mosaic(unseen, tmp_path / "made", workers=client, balance=False)
+        pids = "|".join(map(str, client.run(os.getpid).values()))
+        assert re.search(rf"worker {platform.node()}:({pids}) must see the file under this path$", caught.value.hint)
+        assert list((tmp_path / "made").iterdir()) == []
+    with pytest.raises(WorkerError, match="has 4096 MB of memory, and units may need 8192 MB") as refused:
+        list(map_units(float, [1], RenderOptions(workers=client, memory_limit=8 << 30)))
+    assert str(refused.value.where).startswith("tcp://127.0.0.1:")
+    assert list(map_units(float, [1], RenderOptions(workers=client))) == [(1, 1.0)]
+
+
+def test_tiles_that_a_cluster_made_are_kept_when_a_worker_and_then_the_scheduler_are_killed(
+    pair, few, tmp_path
+) -> None:
     """Nothing half-written is left, and the same command renders what is missing, to the bytes of one thread."""
     block, _ = few
     # Seventeen small tiles: when the third is there, some have not been given to anyone.
     place = {**PLACE, "resolution": 0.0065, "bounds": (399943.0, 5500002.0, 400050.0, 5500002.8)}
     place |= {"tiling": "1024px", "seam_quality": False}
-    for name in ("one", "made", "dask"):
+    for name in ("one", "made"):
         (tmp_path / name).mkdir()
     gm.mosaic(block, tmp_path / "one" / "m.vrt", threads=1, **place)
-    pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
-    import dask
-
+    client, started = pair
     output = tmp_path / "made" / "m.vrt"
-    pair = cluster(tmp_path / "dask", nannies=False)
-    with dask.config.set({"distributed.comm.timeouts.connect": "2s"}), pair as (client, started):
-        killed: list[int] = []
+    killed: list[int] = []
 
-        def kill(done: int, total: int, stage: str) -> None:
-            if stage == "mosaic" and not killed:
-                killed.append(next(iter(client.run(os.getpid).values())))
-                os.kill(killed[0], signal.SIGKILL)
-            if stage == "mosaic" and done == 3:
-                started[0].kill()
+    def kill(done: int, total: int, stage: str) -> None:
+        if stage == "mosaic" and not killed:
+            killed.append(next(iter(client.run(os.getpid).values())))
+            os.kill(killed[0], signal.SIGKILL)
+        if stage == "mosaic" and done == 3:
+            started[0].kill()
 
-        with pytest.raises(WorkersUnreachableError) as caught:
-            gm.mosaic(block, output, workers=client, progress=kill, **place)
-        assert caught.value.exit_code == 4
+    with pytest.raises(WorkersUnreachableError) as caught:
+        gm.mosaic(block, output, workers=client, progress=kill, **place)
+    assert caught.value.exit_code == 4
+    for process in started:  # whatever they were at
+        process.kill()
+        process.wait()
     assert not output.exists()
     records = list((tmp_path / "made" / "m-tiles" / ".geomosaic").glob("m-r*.json"))
     made = gm.mosaic(block, output, threads=1, **place)
@@ -233,25 +259,6 @@ def test_a_worker_of_a_cluster_that_hangs_is_done_without(nannies, tmp_path, mon
             ]
         assert run is not None
         assert run.lost == {"hung": 1}
-
-
-def test_a_worker_that_cannot_do_the_work_is_named(tmp_path, monkeypatch) -> None:
-    """It sees other files than the client, which names them by way of its own folder; or it has too little memory."""
-    photos = tmp_path / "photos"
-    block = small_block(photos, 1, 2)
-    monkeypatch.chdir(photos)
-    unseen = replace(block, images=tuple(Path("/proc/self/cwd") / path.name for path in block.images))
-    with cluster(tmp_path, workers=1, nannies=False) as (client, _):
-        if unseen.images[0].exists():  # on Linux
-            with pytest.raises(RasterReadError) as caught:
-                mosaic(unseen, tmp_path / "made", workers=client, balance=False)
-            pid = next(iter(client.run(os.getpid).values()))
-            assert caught.value.hint.endswith(f"worker {platform.node()}:{pid} must see the file under this path")
-            assert list((tmp_path / "made").iterdir()) == []
-        with pytest.raises(WorkerError, match="has 4096 MB of memory, and units may need 8192 MB") as refused:
-            list(map_units(float, [1], RenderOptions(workers=client, memory_limit=8 << 30)))
-        assert str(refused.value.where).startswith("tcp://127.0.0.1:")
-        assert list(map_units(float, [1], RenderOptions(workers=client))) == [(1, 1.0)]
 
 
 @pytest.mark.slow

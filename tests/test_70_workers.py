@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import signal
 from collections.abc import Iterator
@@ -20,7 +19,6 @@ from geomosaic.execution import packing
 from geomosaic.execution.units import map_units
 from geomosaic.execution.units_on_workers import RETRIES
 from geomosaic.options.render import RenderOptions
-from geomosaic.raster.cloud_mask import CloudMask
 from geomosaic.stores.failures import StoreError
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
@@ -75,22 +73,16 @@ def test_workers_of_another_version_are_refused_by_name(client, monkeypatch, tmp
         packing.unpacked(work)
 
 
-def test_a_cluster_makes_the_sample_of_one_thread_though_a_worker_is_killed(client, tmp_path) -> None:
-    """All twelve photos."""
+def test_a_cluster_makes_the_sample_of_one_thread(client, tmp_path) -> None:
+    """All twelve photos, on two processes."""
     sample = replace(BLOCK, images=sorted((SAMPLE / "photos").glob("*.jpg")))
     assert len(sample.images) == 12
-    victims = list(client.run(os.getpid).values())[:1]
-
-    def kill(done: int, total: int, stage: str) -> None:
-        if stage == "mosaic" and victims:
-            os.kill(victims.pop(), signal.SIGKILL)
-
     place = {"resolution": 1.5, "tile": 1024, "vectors": False, "colour": "gain"}  # six units
-    for name, how in (("one", {"threads": 1}), ("killed", {"workers": client, "progress": kill})):
+    for name, how in (("one", {"threads": 1}), ("two", {"workers": client})):
         (tmp_path / name).mkdir()
-        gm.mosaic(sample, tmp_path / name / "m.tif", **place, **how)
-    assert rasters(tmp_path / "killed") == rasters(tmp_path / "one")
-    assert not victims
+        made = gm.mosaic(sample, tmp_path / name / "m.tif", **place, **how)
+    assert rasters(tmp_path / "two") == rasters(tmp_path / "one")
+    assert len(made.run.workers) == 2
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -99,16 +91,6 @@ def test_what_is_sent_renders_the_same_bytes(way, tmp_path) -> None:
     plain = mosaic(tmp_path / "threads", threads=1, **way)
     with ThreadPoolExecutor(1) as executor:
         assert mosaic(tmp_path / "sent", workers=executor, **way) == plain
-
-
-def test_a_process_makes_the_ortho_of_one_thread(tmp_path, monkeypatch) -> None:
-    """Files under relative names, too."""
-    monkeypatch.chdir(SAMPLE)
-    assert pickle.loads(pickle.dumps(CloudMask("dem.tif"))) == CloudMask(str(SAMPLE / "dem.tif"))
-    one = gm.Scene(Path("photos") / PHOTOS[0], "frame", dem="dem.tif", **FILES)
-    for name, how in (("plain", {"threads": 1}), ("sent", {"workers": 1})):
-        gm.ortho(one, tmp_path / f"{name}.tif", **PLACE, **how)
-    assert (tmp_path / "plain.tif").read_bytes() == (tmp_path / "sent.tif").read_bytes()
 
 
 # Signals that a unit sends to the process it runs in: none, and one that nothing survives. What sends them is not of

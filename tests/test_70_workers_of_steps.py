@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import platform
 import re
 import traceback
@@ -22,6 +23,7 @@ from geomosaic.execution.units import workers_for
 from geomosaic.jobs.project import run_project
 from geomosaic.options.render import RenderOptions
 from geomosaic.project.sample_block import copy_sample
+from geomosaic.raster.cloud_mask import CloudMask
 from geomosaic.raster.source import Source
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
@@ -162,6 +164,16 @@ def test_a_project_with_orthos_and_a_check_has_the_bytes_of_one_thread(run, tmp_
     found = units(run) - before
     assert (found["RectifiedUnits"], found["Strips"]) == (2, 6)
     assert not read_here
+
+
+def test_a_process_makes_the_ortho_of_files_under_relative_names(run, tmp_path, monkeypatch) -> None:
+    """Relative to the client's folder, not to that of the process."""
+    monkeypatch.chdir(SAMPLE)
+    assert pickle.loads(pickle.dumps(CloudMask("dem.tif"))) == CloudMask(str(SAMPLE / "dem.tif"))
+    one = gm.Scene(Path("photos") / PHOTOS[0], "frame", dem="dem.tif", **FILES)
+    for name, how in (("plain", {"threads": 1}), ("sent", {"workers": WORKERS})):
+        gm.ortho(one, tmp_path / f"{name}.tif", **PLACE, **how)
+    assert (tmp_path / "plain.tif").read_bytes() == (tmp_path / "sent.tif").read_bytes()
 
 
 # Modules with threads of their own, and why these do not go to workers.

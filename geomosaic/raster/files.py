@@ -28,7 +28,9 @@ def journal_of(path: Path) -> Path | None:
     """
     # QGIS keeps GeoPackages open: an edit that is saved there is in the journal, which readers see, long before it is
     # in the file itself. With journals of the older kind (`-journal`) the file itself holds what was saved.
-    return path.with_name(f"{path.name}-wal") if path.suffix.lower() in _DATABASES else None
+    # No program holds an object of a store open.
+    database = path.suffix.lower() in _DATABASES and not isinstance(path, StorePath)
+    return path.with_name(f"{path.name}-wal") if database else None
 
 
 def _filled_journal(path: Path) -> Path | None:
