@@ -69,7 +69,7 @@ def processes() -> list[int]:
 def test_processes_that_are_killed_on_the_way_are_replaced_and_change_no_byte(few, tmp_path) -> None:
     """The report tells what each did, what was lost, and what a rerun would cost."""
     block, expected = few
-    killer = Killer(processes, 3, 4)
+    killer = Killer(processes, 2, 4)
     found, made = mosaic(block, tmp_path / "killed", workers=2, progress=killer)
     assert found == expected
     assert killer.left == 0
