@@ -31,20 +31,22 @@ from geomosaic.options.render import RenderOptions
 
 # Places and units that are small, so that there are many of them.
 PLACE: dict[str, Any] = {"resolution": 0.05, "tile": 1024, "vectors": False, "creation": {"COMPRESS": "JPEG"}}
+# A strip across six photos, in seventeen units or tiles.
+STRIP: dict[str, Any] = {**PLACE, "resolution": 0.0065, "bounds": (399943.0, 5500002.0, 400050.0, 5500002.8)}
 
 
 def mosaic(block: gm.Block, folder: Path, **options: Any) -> tuple[dict[str, bytes], gm.MosaicResult]:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    made = gm.mosaic(block, folder / "m.tif", **PLACE, **options)
+    made = gm.mosaic(block, folder / "m.tif", **{**PLACE, **options})
     return {path.name: path.read_bytes() for path in sorted(folder.glob("*.tif"))}, made
 
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory) -> tuple[gm.Block, dict[str, bytes]]:
-    """Block of 6 photos, and its mosaic of one thread."""
+    """Block of 6 photos, and a strip of its mosaic by one thread."""
     block = small_block(tmp_path_factory.mktemp("photos"), 2, 3)
-    return block, mosaic(block, tmp_path_factory.mktemp("few") / "one", threads=1)[0]
+    return block, mosaic(block, tmp_path_factory.mktemp("few") / "one", **STRIP, threads=1)[0]
 
 
 class Killer:
@@ -70,7 +72,7 @@ def test_processes_that_are_killed_on_the_way_are_replaced_and_change_no_byte(fe
     """The report tells what each did, what was lost, and what a rerun would cost."""
     block, expected = few
     killer = Killer(processes, 2, 4)
-    found, made = mosaic(block, tmp_path / "killed", workers=2, progress=killer)
+    found, made = mosaic(block, tmp_path / "killed", **STRIP, workers=2, progress=killer)
     assert found == expected
     assert killer.left == 0
     assert not processes()
@@ -210,9 +212,8 @@ def test_tiles_that_a_cluster_made_are_kept_when_a_worker_and_then_the_scheduler
 ) -> None:
     """Nothing half-written is left, and the same command renders what is missing, to the bytes of one thread."""
     block, _ = few
-    # Seventeen small tiles: when the third is there, some have not been given to anyone.
-    place = {**PLACE, "resolution": 0.0065, "bounds": (399943.0, 5500002.0, 400050.0, 5500002.8)}
-    place |= {"tiling": "1024px", "seam_quality": False}
+    # When the third tile is there, some have not been given to anyone.
+    place = {**STRIP, "tiling": "1024px", "seam_quality": False}
     for name in ("one", "made"):
         (tmp_path / name).mkdir()
     gm.mosaic(block, tmp_path / "one" / "m.vrt", threads=1, **place)

@@ -77,7 +77,7 @@ def test_a_cluster_makes_the_sample_of_one_thread(client, tmp_path) -> None:
     """All twelve photos, on two processes."""
     sample = replace(BLOCK, images=sorted((SAMPLE / "photos").glob("*.jpg")))
     assert len(sample.images) == 12
-    place = {"resolution": 1.5, "tile": 1024, "vectors": False, "colour": "gain"}  # six units
+    place = {"resolution": 3.0, "tile": 1024, "vectors": False, "colour": "gain"}  # two units
     for name, how in (("one", {"threads": 1}), ("two", {"workers": client})):
         (tmp_path / name).mkdir()
         made = gm.mosaic(sample, tmp_path / name / "m.tif", **place, **how)
