@@ -298,15 +298,15 @@ class _RunStatus:
 
     def __init__(self) -> None:
         self.text = ""
-        self._told = False
+        self._announced = False
 
     def look(self) -> None:
         """Look at the report of the run under way, if it has workers."""
         module = sys.modules.get("geomosaic.execution.run_report")  # not loaded: there are none
         run: RunReport | None = None if module is None else module.current.get()
         self.text = "" if run is None else run.status
-        if run is not None and run.dashboard and not self._told:
-            self._told = True
+        if run is not None and run.dashboard and not self._announced:
+            self._announced = True
             say(f"workers are shown at {run.dashboard}")
 
 
@@ -332,11 +332,11 @@ def progress(as_json: bool) -> Iterator[Progress]:
         Takes (done, total, stage); a total of 0 is not known.
     """
     if not _wants_bars(as_json):
-        told = _RunStatus()
+        workers = _RunStatus()
 
         def look(done: int, total: int, stage: str) -> None:
             check_stopped()
-            told.look()
+            workers.look()
 
         yield look
         return
@@ -348,7 +348,7 @@ def progress(as_json: bool) -> Iterator[Progress]:
 
     from geomosaic.cli.time_left import TimeLeft, clock_text
 
-    left, told = TimeLeft(), _RunStatus()
+    left, workers = TimeLeft(), _RunStatus()
 
     class Clock(ProgressColumn):
         """Time that a stage took, or what is left of it and of those that follow it."""
@@ -367,7 +367,7 @@ def progress(as_json: bool) -> Iterator[Progress]:
         def render(self, task: Task) -> Text:
             rate = None if task.finished else left.rate(task.description)
             words = [] if rate is None else [f"{rate:.1f}/s" if rate >= 1.0 else f"{60.0 * rate:.1f}/min"]
-            words += [told.text] if told.text and not task.finished else []
+            words += [workers.text] if workers.text and not task.finished else []
             return Text(", ".join(words), style="progress.data.speed")
 
     columns = (TextColumn("{task.description:<12}"), BarColumn(), MofNCompleteColumn(), Rate(), Clock())
@@ -376,7 +376,7 @@ def progress(as_json: bool) -> Iterator[Progress]:
 
         def report(done: int, total: int, stage: str) -> None:
             check_stopped()
-            told.look()
+            workers.look()
             left.tell(done, total, stage, monotonic())
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=total or None)

@@ -150,9 +150,9 @@ def answer_of(data: bytes | memoryview) -> Answer:
     """
     whole = memoryview(data)
     start = int.from_bytes(whole[-_LENGTH:], "little")
-    ends, *told = pickle.loads(whole[start:-_LENGTH])
+    ends, *more = pickle.loads(whole[start:-_LENGTH])
     results = [pickle.loads(whole[first:end]) for first, end in zip([0, *ends[:-1]], ends, strict=True)] if ends else []
-    return Answer(results, *told)
+    return Answer(results, *more)
 
 
 def _sendable(error: Exception) -> Exception:
@@ -170,12 +170,12 @@ class _SharedUsage:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._running = 0
-        self._told = Usage(0.0)
+        self._reported = Usage(0.0)
 
     def __enter__(self) -> None:
         with self._lock:
             if not self._running:  # what happened between tasks is not theirs
-                self._told = Usage.of_process()
+                self._reported = Usage.of_process()
             self._running += 1
 
     def __exit__(self, *error: object) -> None:
@@ -186,7 +186,7 @@ class _SharedUsage:
         """What was used since it was last asked for."""
         with self._lock:
             now = Usage.of_process()
-            used, self._told = now.since(self._told), now
+            used, self._reported = now.since(self._reported), now
         return used
 
 

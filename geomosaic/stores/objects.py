@@ -434,10 +434,10 @@ def _asked(name: Name, request: Callable[[], T], *, writing: bool = False) -> T:
     except (InputError, OutputError, KeyboardInterrupt):
         raise
     except Exception as error:
-        raise _told(name, error, writing) from None
+        raise _failure(name, error, writing) from None
 
 
-def _told(name: Name, error: Exception, writing: bool) -> Exception:
+def _failure(name: Name, error: Exception, writing: bool) -> Exception:
     from obstore import exceptions
 
     text = str(error)[:4000]

@@ -65,8 +65,8 @@ def _of_polarisation(scene: RadarScene, image: str, where: str) -> SarCalibratio
         )  # fmt: skip
     if len(scene.calibrations) == 1:
         return next(iter(scene.calibrations.values()))
-    told = _POLARISATION.search(Path(image).name)
-    found = scene.calibrations.get(told[1].upper()) if told else None
+    named = _POLARISATION.search(Path(image).name)
+    found = scene.calibrations.get(named[1].upper()) if named else None
     if found is None:
         raise InputError(
             f"the product has the polarisations {', '.join(scene.calibrations)}; the image's name tells none of them",
