@@ -13,17 +13,16 @@ from geomosaic.errors import InputError
 from geomosaic.execution.units import map_units, workers_for
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.inputs.area import plan
-from geomosaic.inputs.build import build_block
-from geomosaic.inputs.declarations import Block, on_ground
+from geomosaic.inputs.declarations import Block
 from geomosaic.options.declaration import compose
 from geomosaic.options.inputs import Area
 from geomosaic.options.render import BLOCK_HEIGHT, RenderOptions
+from geomosaic.products.radar_scene import radar_inputs, radar_scene
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.files import check_output, companion
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.render.radar_terrain import RadarTerrain
 from geomosaic.resample.layover_shadow import FORESHORTENING, LAYOVER, SHADOW, UNKNOWN
-from geomosaic.sensor.plugin import HasSensorPositions
 from geomosaic.surface.dem import Dem
 from geomosaic.types import PathLike
 from geomosaic.whole_files import path_of
@@ -120,32 +119,18 @@ def layover_mask(
         The sensor is no radar, or there is no DEM with relief.
     OutputExistsError, OutputError
     """
-    if not isinstance(scene, Block):
-        raise InputError("an image does not tell its sensor", where="`scene`", hint="give `Scene(image, sensor)`")
+    inputs = radar_inputs(scene, dem, dem_heights)
     idle = next((name for name in _IDLE if name in options), None)
     if idle is not None:
         raise InputError(f"`{idle}` would do nothing: no image is resampled", hint=f"leave out `{idle}`")
     render, target = compose(LayoverOptions, options).render, path_of(output, "output")
     angles = companion(target, "-incidence", ".tif") if incidence else None
-    inputs = on_ground(scene, dem, dem_heights)
     for file in (target, angles):
         if file is not None:
             check_output(file, overwrite=render.overwrite, inputs=inputs.files, geotiff=True)
-    block = build_block(inputs, dem_memory=render.dem_memory)
-    if len(block.scenes) != 1:
-        raise InputError(f"a mask is of one scene, and {len(block.scenes)} are given", where="`scene`", hint="give one")
-    one = block.scenes[0]
-    if not isinstance(one.model, HasSensorPositions):
-        raise InputError(
-            "only a side-looking radar has layover and shadow of this kind", where=str(one.path),
-            hint="`ortho` with `true_ortho` masks what a photo or a scanner does not see",
-        )  # fmt: skip
-    surface = block.surface
-    if surface is None or surface.range[0] == surface.range[1]:
-        raise InputError(
-            "level ground has neither layover nor shadow", where="`dem`", hint="give a DEM with its relief"
-        )
-    grid, _ = plan(block.scenes, surface, Area(dst_crs, resolution, bounds, like=like))
+    others = "`ortho` with `true_ortho` masks what a photo or a scanner does not see"
+    one, surface = radar_scene(inputs, others, dem_memory=render.dem_memory)
+    grid, _ = plan((one,), surface, Area(dst_crs, resolution, bounds, like=like))
     terrain = RadarTerrain(grid, surface, one.model)
     counts, known = np.zeros(3, dtype=np.int64), 0
     bits = {"layover": LAYOVER, "shadow": SHADOW, "foreshortening": FORESHORTENING}

@@ -8,31 +8,29 @@ from pathlib import Path
 import numpy as np
 from affine import Affine
 
-from geomosaic.block import OrientedImage
 from geomosaic.control.points import ControlPoints, Origin, mean_sigmas
 from geomosaic.errors import InputError, counted
 from geomosaic.execution.units import map_units
 from geomosaic.geo.crs import crs_code, horizontal, image_crs
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_table import write_control
-from geomosaic.inputs.declarations import Block, on_ground
+from geomosaic.inputs.declarations import Block
 from geomosaic.options.render import BLOCK_HEIGHT, RunningOptions
+from geomosaic.products.radar_scene import radar_inputs, radar_scene
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.files import check_output
 from geomosaic.raster.sink import RasterProduct, RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.illuminated_area import WIDTH, IlluminatedArea
 from geomosaic.render.radar_simulation import SimulatedControl, matched_control
-from geomosaic.sensor.plugin import HasSensorPositions
 from geomosaic.surface.dem import Dem
-from geomosaic.surface.model import Surface
 from geomosaic.types import BoolArray, FloatArray, PathLike
 from geomosaic.whole_files import path_of
 
 # Fewest windows that place a scene with some certainty.
 LEAST = 4
+_OTHERS = "photos and scanners: `match` with a `reference`"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,9 +130,9 @@ def simulate_scene(
     OutputExistsError, OutputError
     """
     target = path_of(output, "output")
-    files = on_ground(scene, dem, dem_heights).files if isinstance(scene, Block) else ()
-    check_output(target, overwrite=overwrite, inputs=files, geotiff=True)
-    one, surface = _radar_on_ground(scene, dem, dem_heights)
+    inputs = radar_inputs(scene, dem, dem_heights)
+    check_output(target, overwrite=overwrite, inputs=inputs.files, geotiff=True)
+    one, surface = radar_scene(inputs, _OTHERS)
     grid = Grid(image_crs(), Affine.identity(), *one.model.size)
     metadata = RasterMetadata(("beta nought of ground of gamma nought 1",))
     samples = Samples(1, "float32", nodata=float("nan"))
@@ -144,26 +142,6 @@ def simulate_scene(
             raster.write(window, found.astype(np.float32)[..., None], np.isfinite(found).astype(np.uint8))
         raster.finish()
     return SimulatedScene(target, grid)
-
-
-def _radar_on_ground(
-    scene: Block, dem: PathLike | Dem | None, dem_heights: str | None
-) -> tuple[OrientedImage, Surface]:
-    """The one radar scene, and its relief."""
-    if not isinstance(scene, Block):
-        raise InputError("an image does not tell its sensor", where="`scene`", hint="give `Scene(image, sensor)`")
-    block = build_block(on_ground(scene, dem, dem_heights))
-    if len(block.scenes) != 1:
-        raise InputError(f"one scene is simulated, and {len(block.scenes)} are given", where="`scene`", hint="give one")
-    one, surface = block.scenes[0], block.surface
-    if not isinstance(one.model, HasSensorPositions):
-        what = "only a side-looking radar is simulated"
-        raise InputError(what, where=str(one.path), hint="photos and scanners: `match` with a `reference`")
-    if surface is None or surface.range[0] == surface.range[1]:
-        raise InputError(
-            "level ground has no slopes to be recognised", where="`dem`", hint="give a DEM with its relief"
-        )
-    return one, surface
 
 
 def match_simulation(
@@ -198,7 +176,7 @@ def match_simulation(
     InputError
         The sensor is no radar, there is no DEM with relief, or too few windows look like their simulation.
     """
-    one, surface = _radar_on_ground(scene, dem, dem_heights)
+    one, surface = radar_scene(radar_inputs(scene, dem, dem_heights), _OTHERS)
     with Source(one.path, nodata=one.nodata, bands=one.bands, usable=one.usable, clouds=one.clouds) as source:
 
         def read(region: Window) -> tuple[FloatArray, BoolArray]:

@@ -117,7 +117,9 @@ def checked_geometry(
     first, interval = timing
     if not 0.0 < interval < 1.0:
         raise InputError(
-            f"rows are {interval:g} s apart", where=where, hint="give the azimuth time interval in seconds, above 0 and below 1"
+            f"rows are {interval:g} s apart",
+            where=where,
+            hint="give the azimuth time interval in seconds, above 0 and below 1",
         )
     orbit = Orbit.through(states)
     require_orbit(orbit, first, first + (size[1] - 1) * interval, where)
