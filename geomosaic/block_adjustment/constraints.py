@@ -14,7 +14,7 @@ from geomosaic.errors import InputError, counted, did_you_mean, listed, warn
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.geo.local_frames import omega_phi_kappa
 from geomosaic.image_names import file_name, stem
-from geomosaic.inputs.tables import Row, Table, read_table
+from geomosaic.inputs.tables import Row, read_table
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.orientation.block.frame import BlockFrame
 from geomosaic.orientation.block.object_constraints import CommonHeights, Distances, OnSurfaces
@@ -262,8 +262,8 @@ def _rigs(path: Path, names: Sequence[str], poses: Sequence[Pose | None]) -> lis
         rows.setdefault(row.values.get("rig", "").strip() or "1", []).append((row, pair))
     found = []
     for name, own in rows.items():
-        base = _calibrated(table, own, BASE, "sigma_base")
-        angles = _calibrated(table, own, ANGLES, "sigma_angle")
+        base = _calibrated(own, BASE, "sigma_base")
+        angles = _calibrated(own, ANGLES, "sigma_angle")
         if len(own) == 1 and (base is None or angles is None):
             what = f"rig '{name}' has one exposure, and its base or its rotation is not given"
             hint = "give dx, dy, dz (metres) and omega, phi, kappa (degrees), or leave the line out: it says nothing"
@@ -289,7 +289,7 @@ def _image(row: Row, column: str, number: dict[str, int], names: Sequence[str], 
 
 
 def _calibrated(
-    table: Table, rows: Sequence[tuple[Row, tuple[int, int]]], columns: tuple[str, ...], sigma: str
+    rows: Sequence[tuple[Row, tuple[int, int]]], columns: tuple[str, ...], sigma: str
 ) -> tuple[FloatArray, float] | None:
     """Values (3,) that the lines of a rig give, and their standard deviation; None where they give none."""
     found: tuple[FloatArray, float] | None = None

@@ -397,7 +397,7 @@ def next_control(
         )
     if live.solution is None:
         fitted = _nominal(size, model) if isinstance(model, str) else model
-        xyz, sigma = _measured(live, fitted, nominal=isinstance(model, str))
+        xyz, sigma = _measured(live, nominal=isinstance(model, str))
     else:
         fit = live.solution.fit
         fitted, xyz, sigma = fit.model, fit.xyz, fit.sigma
@@ -420,7 +420,7 @@ def _nominal(size: tuple[int, int], model: str) -> SensorModel:
     return problem_of(model, "image", size, ControlPoints.from_arrays(places, ground, "EPSG:32631")).model()
 
 
-def _measured(live: LiveControl, fitted: SensorModel, *, nominal: bool) -> tuple[FloatArray, FloatArray]:
+def _measured(live: LiveControl, *, nominal: bool) -> tuple[FloatArray, FloatArray]:
     """Ground (K, 3) of the points in use and their sigmas (K,), under a model that they do not determine."""
     used = live.used
     if not used.any():

@@ -139,7 +139,7 @@ def match_vector_edges(
     names = _sheet_names(paths)
     joins = _joins(found, groups, places, names)
     records = {"edge_joins": joins, "edge_unmatched": _named(unmatched, names), "edge_differences": differences}
-    moved, after = _write(output, frames, bends, (names, crs), records, (found, groups, places), overwrite)
+    moved, after = _write(output, frames, bends, (names, crs), records, (found, groups, places))
     apart = np.array(joins["distance"])
     rms = float(np.sqrt(np.mean(apart**2))) if len(apart) else float("nan")
     return VectorEdges(
@@ -327,7 +327,6 @@ def _write(
     named: tuple[Sequence[str], CRS],
     records: Mapping[str, dict[str, list[Any]]],
     met: tuple[_Ends, Sequence[IntArray], FloatArray],
-    overwrite: bool,
 ) -> tuple[tuple[float, ...], float]:
     """Write the bent sheets and what was found; largest displacement of each sheet, and misfit of ends after it."""
     import geopandas

@@ -272,7 +272,7 @@ def file_stamp(path: Path) -> tuple[int, int] | None:
 
 def _layers(project: Project) -> Iterator[Layer]:
     for image in (*project.images, *project.set_aside):
-        yield _layer(project, image, image.name, "image")
+        yield _layer(image, image.name, "image")
     layout = Layout(project)
     made = [(layout.mosaic, project.name, "mosaic"), (kept_mosaic(project), "Before the last run", "before")]
     made += [(path, path.stem, "ortho") for path in layout.orthos]
@@ -284,10 +284,10 @@ def _layers(project: Project) -> Iterator[Layer]:
         (path, path.name, "dem") for path in dict.fromkeys(part.dem for part in project.blocks) if path is not None
     ]
     made += [(path, path.stem, "sheet") for path in layout.sheets]
-    yield from (_layer(project, path, name, role) for path, name, role in made if path.is_file())
+    yield from (_layer(path, name, role) for path, name, role in made if path.is_file())
 
 
-def _layer(project: Project, path: Path, name: str, role: str) -> Layer:
+def _layer(path: Path, name: str, role: str) -> Layer:
     return Layer(digest_of(role, str(path))[:16], name, role, path)
 
 
