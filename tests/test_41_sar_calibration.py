@@ -233,6 +233,27 @@ def test_missing_and_damaged_calibrations_are_refused_by_the_name_of_their_file(
         _model(image, calibration="sigma")
 
 
+def test_a_project_notices_calibration_files_of_named_metadata(tmp_path):
+    image = _product(tmp_path)
+    image.rename(tmp_path / image.name)
+    (tmp_path / "project.toml").write_text(
+        f"""format = 1
+project = {{ name = "radar", images = ["{image.name}"] }}
+sensor = {{ name = "sar", metadata = "annotation/a-vv.xml", calibration = "sigma0" }}
+dem = {{ height = 0.0, heights = "ellipsoidal" }}
+output = {{ folder = "output", resolution = 60.0 }}
+"""
+    )
+    corner = []
+    for factor in (1.0, 2.0):
+        tables = {name: factor * values for name, values in TABLES.items()}
+        (tmp_path / "annotation/calibration/calibration-a-vv.xml").write_text(calibration(LINES, PIXELS, tables))
+        gm.run_project(tmp_path / "project.toml", steps=("orient",))
+        state = json.loads((tmp_path / "output/models/a-vv.tiff.json").read_text())["state"]
+        corner.append(state["calibration"]["amplitude"]["values"][0][0])
+    assert corner[1] == pytest.approx(2.0 * corner[0], rel=1e-6)
+
+
 def test_readers_take_bytes_of_any_product():
     assert read_calibration_bytes(calibration(LINES, PIXELS, TABLES).encode(), "c.xml", "gamma0").values.shape == (4, 5)
     assert len(read_noise_bytes(noise(LINES, PIXELS, NOISE, PARTS).encode(), "n.xml").blocks) == 3

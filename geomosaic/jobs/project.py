@@ -69,7 +69,9 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     frame = (to_path(named),) if named.lower().endswith(CRS_FILES) else ()
     masks = tuple(dict.fromkeys(file for part in blocks for file in part.masks))
     tables = tuple(
-        dict.fromkeys(file for part in blocks for file in (*part.tables, *sensor_files(part.sensor, part.images)))
+        dict.fromkeys(
+            file for part in blocks for file in (*part.tables, *sensor_files(part.sensor, (*part.images, *part.tables)))
+        )
     )
     keys = _keys_of(project)
     orientation: dict[str, Any] = {

@@ -259,13 +259,13 @@ def plugin_versions(*sensors: str) -> dict[str, str]:
     return found
 
 
-def sensor_files(sensor: str, images: Sequence[Path]) -> tuple[Path, ...]:
-    """Files beside the images that a sensor takes their models from.
+def sensor_files(sensor: str, named: Sequence[Path]) -> tuple[Path, ...]:
+    """Files that a sensor takes models from, beside the images and the files that are named for them.
 
     Parameters
     ----------
     sensor : str
-    images : sequence of Path
+    named : sequence of Path
 
     Returns
     -------
@@ -278,4 +278,4 @@ def sensor_files(sensor: str, images: Sequence[Path]) -> tuple[Path, ...]:
         return ()
     if not isinstance(loaded, HasFiles):
         return ()
-    return tuple(dict.fromkeys(file for image in images for file in loaded.files(image)))
+    return tuple(dict.fromkeys(file for path in named for file in loaded.files(path)))

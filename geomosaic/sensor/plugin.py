@@ -765,4 +765,4 @@ class HasFiles(Protocol):
     """Optional power of a plugin: the files beside an image that its model comes from, so that changes are noticed."""
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """Files that belong to the image by their names, as far as they are there."""
+        """Files that belong to an image, or to a file named for it, by their names, as far as they are there."""

@@ -99,11 +99,11 @@ class SarPlugin:
         return SarModel
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """Metadata of a scene, and its calibration where that stands in files of its own."""
+        """Metadata of a scene, and calibration in files of its own, which metadata that are named have as well."""
         from geomosaic_sar.metadata import find_beside
         from geomosaic_sar.sentinel1_calibration import calibration_files
 
-        found = find_beside(str(path))
+        found = path if path.suffix == ".xml" else find_beside(str(path))
         return () if found is None else (found, *(file for file in calibration_files(found) if file.is_file()))
 
     def build(self, request: SensorRequest) -> SarModel:
