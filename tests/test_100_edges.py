@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from edge_render import photographs, roads
 from edge_rig import rig
 
+import geomosaic as gm
 from geomosaic.cli.main import run
 from geomosaic.options.inputs import EdgeOptions
 from geomosaic.products.edges import EdgeInputs, match_photos
@@ -46,6 +48,20 @@ def test_mosaic_and_misfits(files: Path, capsys: pytest.CaptureFixture[str]) -> 
     said = capsys.readouterr().out
     assert "joined exactly" in said
     assert "px at the corners of the mosaic" in said
+
+
+def test_workers_make_the_mosaic_of_one_thread_in_one_run(files: Path) -> None:
+    given = [files / f"photo-{k}.tif" for k in (0, 1)], files / "gcps.csv", files / "common.csv", "EPSG:32633"
+    with ThreadPoolExecutor(1) as workers:
+        here, there = (
+            gm.match_edges(given[0], files / f"{name}.tif", *given[1:], resolution=4.0, **how).mosaic
+            for name, how in (("here", {"threads": 1}), ("there", {"workers": workers}))
+        )
+    assert there.path.read_bytes() == here.path.read_bytes()
+    assert here.run is None
+    assert there.run is not None
+    (worker,) = there.run.workers.values()
+    assert {"SamplesOfImage", "RenderedUnits", "facts_of_image"} <= set(worker.units)
 
 
 def test_control_needs_no_heights(files: Path) -> None:

@@ -25,7 +25,8 @@ SAMPLE = Path(__file__).parents[1] / "data" / "sample"
 FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
 NAMES = ("strip1_02.jpg", "strip1_03.jpg", "strip1_04.jpg")
 # Five tiles, the last of which shows nothing; one thread, so that it is known which come first.
-PLACE: dict[str, Any] = {"resolution": 0.4, "bounds": (399700.0, 5500340.0, 401700.0, 5500440.0), "tiling": "1024px", "vectors": False}
+BOUNDS = 399700.0, 5500340.0, 401700.0, 5500440.0
+PLACE: dict[str, Any] = {"resolution": 0.4, "bounds": BOUNDS, "tiling": "1024px", "vectors": False}
 ONE = {"threads": 1}
 
 

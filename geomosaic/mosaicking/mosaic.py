@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ import numpy as np
 from geomosaic.block import Footprint, OrientedBlock, OrientedImage
 from geomosaic.digests import sha256
 from geomosaic.errors import InputError
+from geomosaic.execution.units import workers_for
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.blending.block import Blender, Seams
 from geomosaic.mosaicking.blending.choice import transition_px, with_blending
@@ -104,12 +106,10 @@ def mosaic(
     given = _Given(block, grid, outlines, reference, about or {}, earlier_run)
     options = files.going_on(options)
     files.check(block, grid, options)
-    if not files.tiled:
-        return make(given, files, options)
-    with files.unfinished():
-        if earlier_run is None:
+    with workers_for(options.render) as run, files.unfinished() if files.tiled else nullcontext():
+        if files.tiled and earlier_run is None:
             given = replace(given, earlier_run=earlier_run_in(files, block, options))
-        return make(given, files, options)
+        return replace(make(given, files, options), run=run)
 
 
 @dataclass(frozen=True)

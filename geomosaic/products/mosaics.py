@@ -73,9 +73,8 @@ def mosaic(
         InputError, OutputError, SensorError or SolveError; nothing is left under the output's names.
     """
     place, wanted = Area(dst_crs, resolution, bounds, like=like), MosaicOptions.of(**options)
-    with workers_for(wanted.render) as run:
-        made = _mosaic(images, (dem, dem_heights), place, path_of(output, "output"), wanted)
-    return made if run is None else replace(made, run=run)
+    with workers_for(wanted.render):
+        return _mosaic(images, (dem, dem_heights), place, path_of(output, "output"), wanted)
 
 
 def _mosaic(
