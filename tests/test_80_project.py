@@ -15,9 +15,9 @@ from geomosaic.inputs.build import build_block
 from geomosaic.inputs.control_points import read_control
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import check_units, read_exterior
-from geomosaic.inputs.frames import frame_description, positions_crs, undeclared_heights_error
 from geomosaic.inputs.summary import list_missing_inputs
 from geomosaic.inputs.tables import read_table
+from geomosaic.inputs.vertical_datums import frame_description, positions_crs, undeclared_heights_error
 from geomosaic.project.drafts import new_project
 from geomosaic.project.load import load_project
 from geomosaic.surface.model import undulation

@@ -16,8 +16,8 @@ from geomosaic.image_names import file_name, stem
 from geomosaic.inputs.control_diagnostics import refuse_misplaced
 from geomosaic.inputs.control_points import control_and_others, control_values, images_not_of_the_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.frames import positions_crs, undeclared_heights_error
 from geomosaic.inputs.tie_points import TiePoints
+from geomosaic.inputs.vertical_datums import positions_crs, undeclared_heights_error
 from geomosaic.options.adjustment import AdjustmentOptions
 from geomosaic.types import BoolArray, FloatArray, IntArray
 

@@ -17,11 +17,11 @@ from geomosaic.geo.transform import Transform
 from geomosaic.inputs.build import build_block, join_blocks
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import RECONSTRUCTIONS, ExteriorRow
-from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import photos_of
 from geomosaic.inputs.recorded_cameras import check_recorded_cameras
 from geomosaic.inputs.recorded_places import check_recorded_places
+from geomosaic.inputs.vertical_datums import positions_crs
 from geomosaic.render.extent import utm_zone
 from geomosaic.sensor.plugin import ControlUse, HasInterior, HasPose, SensorModel
 from geomosaic.sensor.registry import capabilities

@@ -204,7 +204,7 @@ def located_text(found: Located, output: Path | None) -> str:
     output : Path or None
         File that was written, if any.
     """
-    from geomosaic.inputs.frames import frame_description
+    from geomosaic.inputs.vertical_datums import frame_description
 
     places = found.places
     metres = not places.crs.is_geographic

@@ -15,7 +15,7 @@ from geomosaic.geo.crs import has_heights
 from geomosaic.geo.engineering_crs import local_frame_crs
 from geomosaic.geo.local_frames import LocalFrame
 from geomosaic.geo.transform import Transform
-from geomosaic.inputs.frames import positions_crs
+from geomosaic.inputs.vertical_datums import positions_crs
 from geomosaic.sensor.plausibility import DATUMS
 from geomosaic.stores.path import to_path
 from geomosaic.surface.developed.ellipsoid import PLAN, PROJECTIONS, Ellipsoid, Triaxial

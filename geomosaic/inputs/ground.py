@@ -14,8 +14,8 @@ from geomosaic.geo.crs import geocentric, geographic, has_heights, horizontal, i
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
 from geomosaic.inputs.exterior_orientation import SELF_PLACED
-from geomosaic.inputs.frames import undeclared_heights_error, with_declared_heights
 from geomosaic.inputs.images import Photo
+from geomosaic.inputs.vertical_datums import undeclared_heights_error, with_declared_heights
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.registry import capabilities, carried_sensors, plane_sensor
 from geomosaic.surface.dem import Dem

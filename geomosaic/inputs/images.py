@@ -26,8 +26,8 @@ from geomosaic.inputs.exterior_orientation import (
     check_units,
     read_exterior,
 )
-from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.tables import read_table
+from geomosaic.inputs.vertical_datums import positions_crs
 from geomosaic.raster.info import SourceInfo, control_point_count, inspect
 
 

@@ -22,9 +22,9 @@ from geomosaic.errors import GeomosaicError, InputError, warn
 from geomosaic.execution.units import map_in_order
 from geomosaic.geo.transform import Transform
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.images import Photo
 from geomosaic.inputs.orientation_hypotheses import Hypothesis, hypotheses
+from geomosaic.inputs.vertical_datums import positions_crs
 from geomosaic.raster.image_metadata import maker_number, read_photo_tags
 from geomosaic.raster.pictures import preview
 from geomosaic.sensor.solve.inverse import image_to_ground

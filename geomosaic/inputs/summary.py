@@ -24,9 +24,9 @@ from geomosaic.inputs.exterior_orientation import (
     ign_reference_names,
     undeclared_reconstruction,
 )
-from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.images import Photo, photos_of
 from geomosaic.inputs.orientation_plausibility import FAR, median_distance
+from geomosaic.inputs.vertical_datums import frame_description, positions_crs
 from geomosaic.options.inputs import Area
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plausibility import DATUMS

@@ -22,9 +22,9 @@ from geomosaic_pushbroom.metadata import find_beside, metadata_in_folder, read_m
 from geomosaic_pushbroom.model import ECEF, PushbroomModel, initial_model
 from geomosaic_pushbroom.platform import CORRECTIONS, HIGHEST_DEGREE, ReportedFlight
 from geomosaic_pushbroom.points import ImageControl, need_crs, read_points
-from geomosaic_pushbroom.reported import AprioriSigmas, SceneMetadata
+from geomosaic_pushbroom.scene_metadata import AprioriSigmas, SceneMetadata
 from geomosaic_pushbroom.track import read_track
-from geomosaic_pushbroom.unreported import model_from_control
+from geomosaic_pushbroom.without_metadata import model_from_control
 
 GROUPS = {"angles": CORRECTIONS[:3], "rates": CORRECTIONS[3:6], "position": CORRECTIONS[6:9]}
 OF_TRACK = ("start_time", "line_period", "columns", "angle_unit")

@@ -11,7 +11,7 @@ from geomosaic.errors import InputError, counted
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.paths import NODES, Orbit, Path, QuaternionPath, QuaternionTable, horner
 from geomosaic_pushbroom.pose import LookDirections, choose_band, same_side
-from geomosaic_pushbroom.reported import (
+from geomosaic_pushbroom.scene_metadata import (
     AGILE,
     SceneMetadata,
     children,

@@ -11,7 +11,7 @@ from geomosaic.errors import InputError, default_hint
 from geomosaic.stores.path import to_path
 from geomosaic.whole_files import LARGEST_FILE
 from geomosaic_pushbroom.dimap2 import CHARACTERISTICS, REFINED, read_pleiades, read_refined
-from geomosaic_pushbroom.reported import SceneMetadata, parse_dimap
+from geomosaic_pushbroom.scene_metadata import SceneMetadata, parse_dimap
 from geomosaic_pushbroom.spot import read_ossim, read_spot
 from geomosaic_pushbroom.worldview import ROOT, read_worldview
 

@@ -12,7 +12,7 @@ from geomosaic.sensor.inputs import finite_numbers
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.paths import AnglePath, Orbit, require_cover, samples_in_order
 from geomosaic_pushbroom.pose import LookDirections, choose_band
-from geomosaic_pushbroom.reported import (
+from geomosaic_pushbroom.scene_metadata import (
     GYROSCOPES,
     STARS,
     SceneMetadata,

@@ -19,7 +19,7 @@ from geomosaic_pushbroom.paths import TrackPath
 from geomosaic_pushbroom.platform import ReportedFlight, omega_phi_kappa
 from geomosaic_pushbroom.points import need_crs
 from geomosaic_pushbroom.pose import LookDirections, quaternions_of
-from geomosaic_pushbroom.reported import AprioriSigmas
+from geomosaic_pushbroom.scene_metadata import AprioriSigmas
 
 # Boresight before it is calibrated; drift of a gyroscope; lever arm and GNSS.
 AIRBORNE = AprioriSigmas(angles=0.5, rates=1e-3, position=1.0)

@@ -12,7 +12,7 @@ from geomosaic.types import FloatArray
 from geomosaic_pushbroom.dimap2 import orbit_about
 from geomosaic_pushbroom.paths import QuaternionTable
 from geomosaic_pushbroom.pose import LookDirections, choose_band, matrices_of_quaternions, quaternions_of
-from geomosaic_pushbroom.reported import AGILE, SceneMetadata, find, number, numbers, seconds, text, utc_time
+from geomosaic_pushbroom.scene_metadata import AGILE, SceneMetadata, find, number, numbers, seconds, text, utc_time
 
 ROOT = "isd"
 LIGHT = 299792458.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from geomosaic.errors import InputError
-from geomosaic.inputs.frames import positions_crs
+from geomosaic.inputs.vertical_datums import positions_crs
 from geomosaic.jobs.manifest import Layout, recorded_warnings, write_json
 from geomosaic.jobs.step import Context, Machine
 from geomosaic.options.naming import keys_in_errors

@@ -16,8 +16,8 @@ from pyproj import CRS
 from geomosaic.block import Footprint, OrientedBlock, OrientedImage
 from geomosaic.digests import digest_of
 from geomosaic.inputs.area import FindOutlines, plan_mosaic
-from geomosaic.inputs.frames import frame_description
 from geomosaic.inputs.orientation_covariance import with_sigmas
+from geomosaic.inputs.vertical_datums import frame_description
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
 from geomosaic.jobs.step import KEYS_OF_IMAGES, Context, Machine, plugin_versions, versions
 from geomosaic.jobs.steps.orient import restore_block

@@ -18,11 +18,11 @@ from geomosaic.geo.crs import is_local
 from geomosaic.inputs.adjusted import AdjustedImage, adjusted_images, adjustment_facts, write_exterior
 from geomosaic.inputs.build import build_block, join_blocks, refuse_unknown_inputs, refuse_unused_ground
 from geomosaic.inputs.declarations import Block, read_camera
-from geomosaic.inputs.frames import frame_description, positions_crs
 from geomosaic.inputs.ground import build_surface
 from geomosaic.inputs.images import chosen_bands, with_declared
 from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
+from geomosaic.inputs.vertical_datums import frame_description, positions_crs
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
 from geomosaic.jobs.step import Context
 from geomosaic.options.inputs import ANGLE_SYSTEMS

@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from geomosaic.errors import listed
-from geomosaic.estimation.blunders.confusion import NEARER, confusion_radius, confusion_text
+from geomosaic.estimation.blunders.exchanged_points import NEARER, confusion_radius, confusion_text
 from geomosaic.geo.crs import is_local
 from geomosaic.orientation.block.group_blunders import GroupBlunder
 from geomosaic.orientation.block.observations import (

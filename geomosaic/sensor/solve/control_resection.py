@@ -9,7 +9,7 @@ from typing import Any, Generic, cast
 import numpy as np
 
 from geomosaic.errors import SolveError, listed, warn
-from geomosaic.estimation.blunders.confusion import confusion_causes
+from geomosaic.estimation.blunders.exchanged_points import confusion_causes
 from geomosaic.estimation.solver import Unknowns
 from geomosaic.estimation.statistics import total_rms
 from geomosaic.sensor.plugin import ControlBlunder

@@ -13,8 +13,8 @@ from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.crs import parse_map
 from geomosaic.inputs.build import build_block
 from geomosaic.inputs.declarations import Block
-from geomosaic.inputs.frames import positions_crs
 from geomosaic.inputs.planar_block import plane_model
+from geomosaic.inputs.vertical_datums import positions_crs
 from geomosaic.options.control import MODELS
 from geomosaic.raster.info import inspect
 from geomosaic.sensor.plugin import SensorModel
