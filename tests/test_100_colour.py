@@ -17,6 +17,8 @@ from mosaic_rig import scene, write
 
 from geomosaic.cli.main import run
 
+pytestmark = pytest.mark.ci
+
 SIZE, STEP, COLS, ROWS = (240, 180), (96, 72), 3, 3
 LEFT, TOP = 500_000.0, 5_600_000.0
 EFFECTS: dict[str, dict[str, float]] = {

@@ -268,6 +268,7 @@ def tower_photos(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Case, 
     return folder, case, cameras
 
 
+@pytest.mark.ci
 def test_photos_all_round_make_one_mosaic_over_the_cut(
     tower_photos: tuple[Path, Case, dict[str, rig.Pinhole]], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -49,6 +49,7 @@ def apart(image: Path, corrections: Path | None, exact: SensorModel, high: float
     return float(np.hypot(*(model.ground_to_image(Transform(WGS84, model.crs)(ground)) - places).T).max())
 
 
+@pytest.mark.ci
 def test_rpc_and_grid_are_the_sensor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

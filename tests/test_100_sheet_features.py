@@ -21,6 +21,8 @@ from sheet_rig import LEFT, TOP, write
 
 from geomosaic.cli.main import run
 
+pytestmark = pytest.mark.ci
+
 LOCAL = 'LOCAL_CS["wall",UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
 
 

@@ -17,6 +17,8 @@ from sheet_rig import LEFT, TOP, write
 import geomosaic as gm
 from geomosaic.cli.main import run
 
+pytestmark = pytest.mark.ci
+
 
 @pytest.fixture(scope="module")
 def raster(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -205,6 +205,7 @@ def test_two_sheets_never_make_one_file(raster: Path, tmp_path: Path, capsys: py
         assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.ci
 def test_processes_make_the_same_bytes(folder: Path, raster: Path, tmp_path: Path) -> None:
     words = ["make", raster, *POLISH, "--format", "tif", "--dpi", "72", "--workers", "2", "-o", tmp_path / "two"]
     assert run(["sheets", *map(str, words), "--only", "M-34-64-D-c-1", "--only", "M-34-64-D-c-2"]) == 0

@@ -15,6 +15,8 @@ import pytest
 import rasterio
 from affine import Affine
 
+pytestmark = pytest.mark.ci
+
 ROOT = Path(__file__).resolve().parent.parent
 SAMPLE = ROOT / "tests" / "sample_plugin"
 PLACE, FOCAL, SIZE = (500000.0, 5500000.0, 1000.0), 800.0, (900, 700)

@@ -25,6 +25,8 @@ from geomosaic.errors import InputError
 from geomosaic.project.load import load_project
 from geomosaic.studio.base_map import _ORDER, base_map_facts, base_map_host
 
+pytestmark = pytest.mark.ci
+
 TILES = '\n[studio]\nbase_map = "{address}"\nbase_map_notice = "© <b>makers</b> of tiles"\n'
 
 

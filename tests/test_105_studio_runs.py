@@ -20,6 +20,8 @@ from geomosaic.jobs.project import status_of
 from geomosaic.project.load import load_project
 from geomosaic.studio.runs import Runs
 
+pytestmark = pytest.mark.ci
+
 PLACES = np.array([[70, 60], [620, 80], [610, 520], [90, 530], [350, 300]], dtype=float)
 
 

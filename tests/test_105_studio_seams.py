@@ -34,6 +34,8 @@ from geomosaic.studio.seam_file import SeamFile
 from geomosaic.studio.toml_edit import with_value
 from geomosaic.studio.workspace import version_of
 
+pytestmark = pytest.mark.ci
+
 
 @dataclass
 class Trial:

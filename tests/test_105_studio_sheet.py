@@ -123,6 +123,7 @@ def test_two_layouts_one_of_them_from_the_template(client: Any, project: Path) -
     assert not (project.parent / "for-the-office.toml").exists()
 
 
+@pytest.mark.ci
 def test_the_preview_is_what_the_command_prints_at_that_resolution_and_the_print_too(
     client: Any, project: Path
 ) -> None:

@@ -17,6 +17,8 @@ from tied_rig import tie
 
 from geomosaic.cli.main import run
 
+pytestmark = pytest.mark.ci
+
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:

@@ -21,6 +21,8 @@ from browser_rig import Faults, browser, open_page, picture, running_studio
 from playwright.sync_api import Error, expect
 from studio_rig import PROJECT, write_image, write_project
 
+pytestmark = pytest.mark.ci
+
 SCREEN = {"width": 1280, "height": 720}
 
 

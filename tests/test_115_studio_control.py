@@ -19,6 +19,8 @@ from studio_control_rig import scan_ground, scan_project, spot_ground, spot_proj
 
 import geomosaic as gm
 
+pytestmark = pytest.mark.ci
+
 PLACES = np.array([[70, 60], [620, 80], [610, 520], [90, 530], [350, 300], [330, 90], [560, 300]], dtype=float)
 
 

@@ -20,6 +20,8 @@ from reference_rig import GROUND, ORIGIN
 
 from geomosaic.geo.crs import horizontal
 
+pytestmark = pytest.mark.ci
+
 SCREEN = {"width": 1280, "height": 720}
 
 

@@ -15,6 +15,8 @@ from studio_control_rig import ScanProject, scan_ground, scan_project
 
 import geomosaic as gm
 
+pytestmark = pytest.mark.ci
+
 PLACES = np.array([[120, 110], [580, 130], [560, 480], [150, 470], [340, 290], [420, 160]], dtype=float)
 # Roles of the accessibility tree that a person acts on, or goes to.
 ACTED_ON = {

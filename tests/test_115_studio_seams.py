@@ -20,6 +20,8 @@ from geomosaic.jobs.manifest import Layout
 from geomosaic.project.load import load_project
 from geomosaic.raster.vector import read_layer
 
+pytestmark = pytest.mark.ci
+
 # Addresses of tiles that came over the network and not from the browser's own store, since the last question.
 FETCHED = """() => {
   const seen = performance.getEntriesByType("resource");

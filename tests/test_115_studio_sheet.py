@@ -18,6 +18,8 @@ from playwright.sync_api import expect
 from sheet_project_rig import sheet_project
 from sheet_reading import SheetPdf
 
+pytestmark = pytest.mark.ci
+
 
 @pytest.fixture(scope="module")
 def chrome() -> Iterator[Any]:

@@ -31,6 +31,8 @@ from geomosaic.sensor.plugin import SensorRequest
 from geomosaic.sensor.registry import build
 from geomosaic.types import FloatArray
 
+pytestmark = pytest.mark.ci
+
 
 @dataclass(frozen=True)
 class Photo:

@@ -85,6 +85,7 @@ def made(real_data: RealData, tmp_path_factory: pytest.TempPathFactory) -> Mosai
     return make_mosaic(inputs(real_data("orthority-ngi")), Area(None, RESOLUTION), output, options)
 
 
+@pytest.mark.ci
 def test_the_mosaic_lies_on_the_producers_orthos(made: MosaicResult, references: list[Path]) -> None:
     assert len(references) == 4
     for reference in references[::3]:  # one of each strip

@@ -105,6 +105,7 @@ def said(pairs: dict[tuple[int, int], Shifts]) -> str:
     return f"together {pooled(pairs):.2f} px; " + "; ".join(each)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("resolution", "tiles"), [(0.2, 80), pytest.param(0.15, 150, marks=pytest.mark.slow)])
 def test_single_orthos_agree_where_they_overlap(
     real_data: RealData, tmp_path: Path, resolution: float, tiles: int

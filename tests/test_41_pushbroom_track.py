@@ -20,6 +20,8 @@ from geomosaic.testing import SensorModelTests, check_plugin
 from geomosaic.types import FloatArray
 from geomosaic_pushbroom.model import PushbroomModel
 
+pytestmark = pytest.mark.ci
+
 MAP = with_heights(parse_crs("EPSG:32633"), "ellipsoidal")
 WORLD = CRS.from_epsg(4979)
 SIZE = (800, 1000)

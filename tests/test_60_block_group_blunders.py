@@ -17,6 +17,8 @@ from geomosaic.orientation.block.poses import Attitudes, CameraPositions
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.orientation.block.weak_rotation import weak_rotation
 
+pytestmark = pytest.mark.ci
+
 
 @pytest.fixture(scope="module")
 def block() -> Block:

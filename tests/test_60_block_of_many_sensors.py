@@ -19,7 +19,7 @@ from geomosaic.orientation.block.initial_values import image_rays
 from geomosaic.project.load import load_project
 
 # Without a note of each part that is adjusted alone: the drone shows few control points.
-pytestmark = pytest.mark.filterwarnings("ignore::geomosaic.errors.GeomosaicWarning")
+pytestmark = [pytest.mark.ci, pytest.mark.filterwarnings("ignore::geomosaic.errors.GeomosaicWarning")]
 
 
 @pytest.fixture(scope="module")

@@ -115,6 +115,7 @@ def test_times_of_the_orientation_table_give_each_photo_its_motion(tmp_path: Pat
         assert scene.model.parameters.sigmas[6:9] == pytest.approx(0.03)
 
 
+@pytest.mark.ci
 def test_the_motion_that_an_adjustment_finds_stands_in_its_table_and_comes_back_from_it(tmp_path: Path) -> None:
     rig = grid_block(2, 3, 40, seed=6)
     write_project(tmp_path, rig)

@@ -122,6 +122,7 @@ def shares(truth: Truth, runs: int) -> dict[str, np.ndarray]:
     return {kind: np.mean([each[kind].mean(axis=0) for each in found], axis=0) for kind in found[0]}
 
 
+@pytest.mark.ci
 def test_orthos_of_a_mixed_block_err_as_much_as_their_covariances_say(truth: Truth) -> None:
     """Within three standard deviations by chance: shares of single blocks scatter by 8 %, so those of three by 5 %."""
     every = np.mean(list(shares(truth, 3).values()))

@@ -188,6 +188,7 @@ def row(name: str) -> str:
     return " | ".join(["| " + name, finding, *(translated(text, "georeference") for text in (what, hint))]) + " |"
 
 
+@pytest.mark.ci
 def test_every_case_is_found_and_the_docs_show_what_is_said():
     """All bad control in one table: what is found before a fit, and what the fit shows."""
     table = "\n".join(["| control | finding | message | hint |", "|---|---|---|---|", *table_rows(), *map(row, CASES)])

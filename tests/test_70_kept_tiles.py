@@ -94,6 +94,7 @@ def test_a_run_that_was_stopped_twice_goes_on_with_what_is_missing(photos, whole
         gm.mosaic(block(photos), output, **PLACE, **ONE)
 
 
+@pytest.mark.ci
 def test_a_stale_tile_is_found_and_its_neighbours_are_kept(photos, whole, rendered, tmp_path) -> None:
     """A photo is touched, a tile edited, another one gone, an option changed."""
     output = tmp_path / "m.vrt"

@@ -29,6 +29,8 @@ from geomosaic.execution.unit_times import LEAST_PATIENCE, PATIENCE, UnitTimes
 from geomosaic.execution.units import map_units, workers_for
 from geomosaic.options.render import RenderOptions
 
+pytestmark = pytest.mark.ci
+
 # Places and units that are small, so that there are many of them.
 PLACE: dict[str, Any] = {"resolution": 0.05, "tile": 1024, "vectors": False, "creation": {"COMPRESS": "JPEG"}}
 # A strip across six photos, in seventeen units or tiles.

@@ -12,6 +12,8 @@ import pytest
 import rasterio
 from affine import Affine
 
+pytestmark = pytest.mark.ci
+
 # Not ru_maxrss: on Linux a child starts with the peak of the process that it was forked from.
 PEAK = """
 import sys

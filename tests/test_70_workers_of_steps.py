@@ -26,6 +26,8 @@ from geomosaic.project.sample_block import copy_sample
 from geomosaic.raster.cloud_mask import CloudMask
 from geomosaic.raster.source import Source
 
+pytestmark = pytest.mark.ci
+
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
 FILES = {"camera": SAMPLE / "camera.toml", "exterior": SAMPLE / "exterior.csv", "crs": "EPSG:32633", "heights": "egm96"}
 BLOCK = gm.Block([SAMPLE / "photos" / name for name in PHOTOS[::2]], "frame", dem=SAMPLE / "dem.tif", **FILES)

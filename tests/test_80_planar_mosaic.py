@@ -23,6 +23,8 @@ from geomosaic.options.mosaic import MosaicOptions
 from geomosaic.products.mosaics import make_planar_mosaic
 from geomosaic.testing.synthetic import coordinates, render
 
+pytestmark = pytest.mark.ci
+
 CRS = "EPSG:32633"
 
 

@@ -26,6 +26,8 @@ from geomosaic.project.load import load_project
 from geomosaic.raster.files import Hashes
 from geomosaic.raster.vector import read_layer
 
+pytestmark = pytest.mark.ci
+
 
 @pytest.fixture(scope="module")
 def made(sample, tmp_path_factory) -> Path:

@@ -250,6 +250,7 @@ def test_a_focal_length_that_is_set_free_is_found(folder: Path, tmp_path: Path) 
     assert np.shape(found.covariances[0])[0] > 6
 
 
+@pytest.mark.ci
 def test_self_calibration_sets_free_what_the_block_determines(folder: Path, tmp_path: Path) -> None:
     """Of a lens without distortion, declared with some: k1 comes back to 0, and nothing is free that need not be."""
     camera = tmp_path / "camera.toml"
@@ -281,6 +282,7 @@ def ground_errors(found: AdjustedBlock) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+@pytest.mark.ci
 def test_the_ground_is_right_whichever_radial_terms_make_up_for_a_wrong_lens(folder: Path, tmp_path: Path) -> None:
     """A wrong term in r⁹ is mended by k1 and k2 to 0.31 px, of 0.28 by itself: the ground has the errors it tells."""
     camera = tmp_path / "camera.toml"

@@ -14,6 +14,8 @@ from geomosaic.cli.main import run
 from geomosaic.testing.synthetic.block import PlainCamera
 from geomosaic.testing.synthetic.photo import render
 
+pytestmark = pytest.mark.ci
+
 # Columns and rows that were cut off each scan, by nobody's rule.
 CUT = ((0, 0), (9, 4), (3, 12), (6, 6))
 

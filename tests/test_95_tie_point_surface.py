@@ -97,6 +97,7 @@ def test_a_project_without_a_dem_makes_one_and_knows_when_it_is_stale(folder: Pa
     assert "surface.tif" in (output / "report.json").read_text()
 
 
+@pytest.mark.ci
 def test_a_project_without_any_position_ends_in_a_level_frame_that_lies_nowhere(tmp_path: Path) -> None:
     file = write_project(tmp_path, grid_block(2, 3, 60, seed=3), NOWHERE)
     with warnings.catch_warnings(record=True) as told:
