@@ -11,7 +11,7 @@ import platform
 import posixpath
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -248,7 +248,7 @@ def read_records(path: PathLike, what: str) -> list[list[str]]:
     return list(csv.reader(lines))
 
 
-def write_atomic(path: Path, text: str, encoding: str = "utf-8") -> None:
+def write_atomic(path: Path, text: str, encoding: str = "utf-8", check: Callable[[], None] = lambda: None) -> None:
     """Write a text file in place of one that may be there, and make its folder.
 
     Parameters
@@ -256,6 +256,8 @@ def write_atomic(path: Path, text: str, encoding: str = "utf-8") -> None:
     path : Path
     text : str
     encoding : str
+    check : callable
+        Called when all is written but the name; an error of it leaves the file as it was.
 
     Raises
     ------
@@ -270,6 +272,7 @@ def write_atomic(path: Path, text: str, encoding: str = "utf-8") -> None:
         ) from error
     with under_construction(path) as unfinished:
         unfinished.write_text(text, encoding=encoding, newline="\n")
+        check()
 
 
 def partial(path: Path, suffix: str = "") -> Path:

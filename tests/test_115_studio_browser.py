@@ -21,6 +21,9 @@ from browser_rig import Faults, browser, open_page, picture, running_studio
 from playwright.sync_api import Error, expect
 from studio_rig import PROJECT, write_image, write_project
 
+from geomosaic.jobs.manifest import Layout
+from geomosaic.project.load import load_project
+
 pytestmark = pytest.mark.ci
 
 SCREEN = {"width": 1280, "height": 720}
@@ -198,6 +201,24 @@ def test_two_tabs_see_what_another_program_saves_within_a_second(
         expect(page.locator("#panel-messages")).to_contain_text("Nothing is wrong", timeout=5000)
         expect(page.locator("#panel-images .row")).to_have_count(4)
     second.close()
+
+
+def test_a_map_that_changes_while_it_is_drawn_has_each_layer_once(trial: Path, page: Any) -> None:
+    mosaic = Layout(load_project(trial)).mosaic
+    names = page.locator("#panel-layers .card label")
+    page.get_by_role("tab", name="Layers").click()
+    expect(names).not_to_have_count(0)
+    before = names.all_inner_texts()
+    held: list[Any] = []
+    page.route("**/api/outlines", lambda request: held.append(request), times=1)
+    with page.expect_request("**/api/outlines"):
+        mosaic.touch()
+    with page.expect_response("**/api/project"):
+        mosaic.touch()
+    page.wait_for_timeout(300)  # for the page to draw it, if it did not wait
+    with page.expect_response("**/api/steps"):  # the last that the page reads of a project
+        held[0].continue_()
+    assert names.all_inner_texts() == before
 
 
 def test_what_an_edit_made_stale_is_run_and_stopped_from_the_page(trial: Path, page: Any) -> None:

@@ -18,6 +18,8 @@ from playwright.sync_api import expect
 from sheet_project_rig import sheet_project
 from sheet_reading import SheetPdf
 
+from geomosaic.studio.sheets.layout_files import LayoutFile
+
 pytestmark = pytest.mark.ci
 
 
@@ -115,4 +117,77 @@ def test_a_title_is_changed_a_legend_moved_and_the_sheet_printed(chrome: Any, tm
         expect(page.locator("#sheet-print")).to_have_attribute("title", "There is no layout to print yet")
         expect(shown).to_be_hidden()
         expect(page.locator(".sheet-box")).to_have_count(0)
+    assert faults == []
+
+
+def test_what_is_answered_late_does_not_win(chrome: Any, tmp_path: Path) -> None:
+    """The server's answers are held back by hand, so that newer ones come before them."""
+    project, faults, file = sheet_project(tmp_path), Faults(), tmp_path / "wall.toml"
+    (tmp_path / "second.toml").write_text('[sheet]\ntitle = "Second"\n')
+    wall, second = (f"/api/sheets/{LayoutFile.of(tmp_path / name).id}" for name in ("wall.toml", "second.toml"))
+    held: list[Any] = []
+    holding: set[str] = set()
+
+    def arrived(request: Any) -> None:
+        if any(request.request.url.endswith(address) for address in holding):
+            held.append(request)
+        else:
+            request.continue_()
+
+    def release(address: str) -> None:
+        holding.remove(address)
+        while held:
+            with page.expect_response(f"**{address}"):
+                held.pop(0).continue_()
+        page.wait_for_timeout(200)  # for the page to take it
+
+    with running_studio(project) as studio, chrome.new_context(viewport={"width": 1280, "height": 720}) as context:
+        page = open_page(context, studio.address, faults)
+        page.get_by_role("tab", name="Sheet").click()
+        name, choice = page.locator("#sheet-view .name"), page.get_by_label("Layout", exact=True)
+        title, number = page.locator("#sheet-form-sheet-title"), page.locator("#sheet-form-sheet-subtitle")
+        choice.select_option("wall.toml")
+        expect(title).to_have_value("Old title")
+
+        # A layout is chosen, and another one before the first is there.
+        page.route("**/api/sheets/*", arrived)
+        holding.add(second)
+        choice.select_option("second.toml")
+        choice.select_option("wall.toml")
+        expect(page.locator("#sheet-view .place")).to_contain_text("mm")
+        release(second)
+        expect(choice).to_have_value(wall.rpartition("/")[2])
+        expect(name).to_have_text("wall.toml")
+        expect(title).to_have_value("Old title")
+
+        # The layout that was chosen is missing for a moment, as it is while an editor writes it.
+        file.rename(tmp_path / "wall.editor")
+        expect(name).to_have_text("second.toml")
+        (tmp_path / "wall.editor").rename(file)
+        expect(name).to_have_text("wall.toml")
+        expect(title).to_have_value("Old title")
+
+        # What is typed while an edit is being saved stays, and later edits come after earlier ones.
+        holding.add(wall)
+        title.fill("First")
+        title.press("Tab")
+        title.fill("Last")
+        number.press_sequentially("of two")
+        release(wall)
+        expect(page.locator("#undo")).to_have_attribute("title", "Undo: sheet and paper: title")
+        expect(number).to_have_value("of two")
+        number.press("Tab")
+        expect(page.locator("#undo")).to_have_attribute("title", "Undo: sheet and paper: subtitle")
+        assert tomllib.loads(file.read_text())["sheet"] == {"title": "Last", "subtitle": "of two", "paper": "A4"}
+
+        # A layout is begun while the page still reads the last one.
+        holding.add(wall)
+        with page.expect_request(f"**{wall}"):
+            file.write_text(file.read_text().replace("Last", "Changed"))
+        page.get_by_label("Name of a new layout").fill("small")
+        page.get_by_role("button", name="New layout").click()
+        expect(name).to_have_text("small.toml")
+        release(wall)
+        expect(title).to_have_value("scan")
+        expect(name).to_have_text("small.toml")
     assert faults == []

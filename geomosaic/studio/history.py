@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -173,16 +174,11 @@ def text_of(path: Path) -> str | None:
 def _replace(before: Mapping[Path, str | None], after: Mapping[Path, str | None]) -> None:
     """Write texts in place of others, all or none."""
     for path, text in before.items():
-        if text_of(path) != text:
-            raise InputError(
-                "another program has changed this file meanwhile: nothing was saved",
-                where=path.name,
-                hint="look at what it says now, and repeat the edit",
-            )
+        _check(path, text)
     written: list[Path] = []
     try:
         for path, text in after.items():
-            _write(path, text)
+            _write(path, text, partial(_check, path, before.get(path)))
             written.append(path)
     except BaseException:
         for path in written:
@@ -190,8 +186,20 @@ def _replace(before: Mapping[Path, str | None], after: Mapping[Path, str | None]
         raise
 
 
-def _write(path: Path, text: str | None) -> None:
+def _check(path: Path, text: str | None) -> None:
+    """Check that a file has a text, or is not there."""
+    if text_of(path) != text:
+        raise InputError(
+            "another program has changed this file meanwhile: nothing was saved",
+            where=path.name,
+            hint="look at what it says now, and repeat the edit",
+        )
+
+
+def _write(path: Path, text: str | None, check: Callable[[], None] = lambda: None) -> None:
+    """Write a text, or remove the file, after a last check."""
     if text is None:
+        check()
         path.unlink(missing_ok=True)
     else:
-        write_atomic(path, text)
+        write_atomic(path, text, check=check)

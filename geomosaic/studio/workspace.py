@@ -213,16 +213,18 @@ class Workspace:
     def _loaded(self) -> tuple[Project | None, list[dict[str, Any]]]:
         """Project and messages of the file as it is."""
         with self._lock:
-            if self._read[0] != self._state():
+            state = self._state()
+            if self._read[0] != state:
                 project, messages = _load(self.path)
                 if project is not None:
                     self._folders = tuple(dict.fromkeys(image.parent for image in project.images))
-                self._read = self._state(), project, messages
+                # As they were before: what changed while they were read is read by the next call.
+                self._read = {path: state.get(path, now) for path, now in self._state().items()}, project, messages
             return self._read[1], self._read[2]
 
-    def _state(self) -> object:
-        """State of the project file and of the folders of its images, as they were when it last had no errors."""
-        return file_stamp(self.path), tuple(file_stamp(folder) for folder in self._folders)
+    def _state(self) -> dict[Path, tuple[int, int] | None]:
+        """Stamps of the project file, and of the folders that had its images when it last had no errors."""
+        return {path: file_stamp(path) for path in (self.path, *self._folders)}
 
 
 def kept_mosaic(project: Project) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ class SheetDesk:
         self.previews = Previews(folder)
         self._printing = SheetProcess()
         self._print: dict[str, Any] | None = None
+        self._serial = int(1000 * time.time())
 
     def overview(self) -> dict[str, Any]:
         """Layouts of the project, rasters that a sheet may show, the form of layouts and the last print."""
@@ -64,7 +66,8 @@ class SheetDesk:
     def printed(self) -> dict[str, Any] | None:
         """The print that is under way or ended last.
 
-        `state`, `layout`, `output`, `file` (as seen from the project's folder), `stage`, `done`, `total`, notes.
+        `state`, `layout`, `output`, `file` (as seen from the project's folder), `stage`, `done`, `total`, notes;
+        `serial` grows with every change: an answer and an event may reach the page in any order.
         """
         return self._print
 
@@ -228,7 +231,8 @@ class SheetDesk:
 
     def _report(self, more: Mapping[str, Any]) -> None:
         assert self._print is not None
-        self._print = {**self._print, **more}
+        self._serial += 1
+        self._print = {**self._print, **more, "serial": self._serial}
         self._tell({"kind": "print", "print": self._print})
 
     def _files(self) -> list[LayoutFile]:

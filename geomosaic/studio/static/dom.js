@@ -30,6 +30,13 @@ export function byId(id) {
 }
 
 /**
+ * The first of some ids that a list has, else that of its first entry; empty where the list is.
+ * @param {string[]} ids
+ * @param {{id: string}[]} list
+ */
+export const firstThere = (ids, list) => ids.find((id) => list.some((one) => one.id === id)) ?? list[0]?.id ?? "";
+
+/**
  * Number with as many decimals, grouped by thin spaces.
  * @param {number} value
  * @param {number} decimals

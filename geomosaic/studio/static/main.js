@@ -35,11 +35,14 @@ class Studio extends EventTarget {
     this.project = null;
     /** @type {any} */
     this.image = null;
+    this.imageId = ""; // that was chosen last; while the project file has an error no image is shown
     this.tabs = sideTabs(TABS);
     const say = this.say.bind(this);
     this.imageView = new RasterView(byId("image-view"), say);
     this.mapView = new RasterView(byId("map-view"), say);
     this.mapKey = ""; // of the layers that the map shows
+    /** @type {Promise<any>} */
+    this.mapDrawn = Promise.resolve();
     /** @type {{layer: any, drawn: any, why: string | null}[]} */
     this.entries = [];
     this.loading = 0;
@@ -116,7 +119,7 @@ class Studio extends EventTarget {
     }
     this.showHistory(project.history);
     if (!before) this.chooseView(project.layers.some((/** @type {any} */ one) => one.on_map) ? (project.images.length ? "both" : "map") : "image");
-    const image = [...project.images, ...project.layers].find((one) => one.id === this.image?.id) ?? project.images[0] ?? null;
+    const image = [...project.images, ...project.layers].find((one) => one.id === this.imageId) ?? project.images[0] ?? null;
     if (JSON.stringify(image) !== JSON.stringify(this.image)) await this.chooseImage(image);
     else showImages(this.tabs.panel("images"), project.images, image?.id ?? null, (one) => this.openImage(one));
     await this.showMap();
@@ -137,6 +140,7 @@ class Studio extends EventTarget {
    */
   async chooseImage(image) {
     this.image = image;
+    this.imageId ||= image?.id ?? "";
     showImages(this.tabs.panel("images"), this.project.images, image?.id ?? null, (one) => this.openImage(one));
     if (!image) this.imageView.empty(this.project.messages.some((/** @type {any} */ one) => one.kind === "error") ? "The project file has an error" : "The project has no images");
     else if (image.error) this.imageView.empty(`${image.name}: ${image.error}`);
@@ -152,6 +156,7 @@ class Studio extends EventTarget {
    * @param {any} image
    */
   openImage(image) {
+    this.imageId = image.id;
     if (byId("views").dataset.view === "map") this.chooseView("both");
     return this.chooseImage(image);
   }
@@ -164,8 +169,14 @@ class Studio extends EventTarget {
     this.openImage(images[(at + step + images.length) % images.length]);
   }
 
+  /** Show the layers of the project on the map, once what is being drawn there is done. */
+  showMap() {
+    this.mapDrawn = this.mapDrawn.then(() => this.attempt(() => this.#drawMap()));
+    return this.mapDrawn;
+  }
+
   /** Draw the layers that share a CRS, the mosaic's first. */
-  async showMap() {
+  async #drawMap() {
     const layers = this.project.layers;
     const key = JSON.stringify(layers);
     if (key === this.mapKey) return;

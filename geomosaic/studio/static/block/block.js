@@ -39,6 +39,7 @@ export class BlockTool {
     this.ties = null;
     /** @type {any} */
     this.rays = null;
+    this.point = ""; // whose rays are shown, or asked for
     this.onImage = new Drawings(studio.imageView.map);
     this.onMap = new Drawings(studio.mapView.map);
     studio.tabs.panel("block").append(this.figures, this.stale,
@@ -212,10 +213,13 @@ export class BlockTool {
    * @param {string} name
    */
   async choosePoint(name) {
+    this.point = name;
     await this.studio.attempt(async () => {
       const query = new URLSearchParams(this.#query().slice(1));
       query.set("point", name);
-      this.rays = await get(`/api/block/rays?${query}`);
+      const rays = await get(`/api/block/rays?${query}`);
+      if (this.point !== name) return;
+      this.rays = rays;
       const own = this.rays.rays.find((/** @type {any} */ one) => one.image === this.studio.image?.id);
       if (own) this.#centre(own);
       const centres = this.rays.rays.map((/** @type {any} */ one) => this.block.images.find((/** @type {any} */ image) => image.name === one.name)?.centre);
@@ -237,6 +241,7 @@ export class BlockTool {
   }
 
   leavePoint() {
+    this.point = "";
     this.rays = null;
     this.#renderPoints();
     this.draw();

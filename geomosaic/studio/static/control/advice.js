@@ -12,9 +12,11 @@ export class Advice {
     this.control = control;
     /** @type {any} */
     this.facts = null; // as the server told them; null while nothing is asked for
+    this.asked = 0;
   }
 
   clear() {
+    this.asked += 1;
     this.facts = null;
   }
 
@@ -26,8 +28,11 @@ export class Advice {
       control.render();
       return;
     }
+    const asked = ++this.asked;
     await control.studio.attempt(async () => {
-      this.facts = await get(`/api/control/${control.studio.image.id}/next?${control.query()}`);
+      const facts = await get(`/api/control/${control.studio.image.id}/next?${control.query()}`);
+      if (asked !== this.asked) return;
+      this.facts = facts;
       if (!control.area) control.studio.imageView.fit();
       if (byId("views").dataset.view === "map") control.studio.chooseView("both");
       control.render();

@@ -106,11 +106,15 @@ export class Control {
    * @param {string} method
    * @param {string} path
    * @param {any} [values]
+   * @returns {Promise<any>} the answer, which is shown where nothing was asked after it; undefined where there is none
    */
   async ask(method, path, values) {
-    const image = this.studio.image;
-    if (!image || !this.studio.project.images.some((/** @type {any} */ one) => one.id === image.id)) return this.#nothing("Choose an image of the project.");
     const serial = ++this.serial;
+    const image = this.studio.image;
+    if (!image || !this.studio.project.images.some((/** @type {any} */ one) => one.id === image.id)) {
+      this.#nothing("Choose an image of the project.");
+      return undefined;
+    }
     const address = `/api/control/${image.id}${path}?${this.query()}`;
     let state;
     if (method !== "GET") {
@@ -120,15 +124,17 @@ export class Control {
     try {
       state = method === "GET" ? await get(address) : await send(method, address, values);
     } catch (error) {
+      if (serial !== this.serial && method === "GET") return undefined;
       if (method === "GET") this.#nothing(/** @type {Error} */ (error).message);
       throw error;
     }
-    if (serial !== this.serial) return;
+    if (serial !== this.serial) return state;
     this.state = state;
     if (!this.model) this.model = state.model;
     this.studio.showHistory(state.history);
     if (!this.chosen) this.selected = null;
     this.render();
+    return state;
   }
 
   /** Model, part of the image and layer of the map that the server's answers are for. */
@@ -150,6 +156,7 @@ export class Control {
   }
 
   #other() {
+    this.serial += 1;
     this.model = "";
     this.area = null;
     this.selected = null;

@@ -10,6 +10,7 @@ export class Panes {
     this.control = control;
     this.studio = control.studio;
     this.following = false;
+    this.serial = 0; // of the place that the other picture goes to
     this.active = "image"; // the pane that was pointed at last, or has the focus
     this.image = new Drawings(this.studio.imageView.map);
     this.map = new Drawings(this.studio.mapView.map);
@@ -108,9 +109,10 @@ export class Panes {
     const [lead, other] = side === "image" ? [this.studio.imageView, this.studio.mapView] : [this.studio.mapView, this.studio.imageView];
     if (!this.control.open || !lead.home || !other.home) return;
     const [x, y] = lead.map.getView().getCenter();
+    const serial = ++this.serial;
     await this.studio.attempt(async () => {
       const found = await this.expected(side, side === "image" ? [x, -y] : [x, y]);
-      if (found) other.map.getView().setCenter(side === "image" ? found : [found[0], -found[1]]);
+      if (found && serial === this.serial) other.map.getView().setCenter(side === "image" ? found : [found[0], -found[1]]);
     });
   }
 }

@@ -84,7 +84,8 @@ export class Placement {
    * @param {number[]} at pixels of the image, or map coordinates
    */
   async setHalf(side, at) {
-    this.draft[side] = at;
+    const { draft } = this;
+    draft[side] = at;
     const other = side === "image" ? "map" : "image";
     if (this.draft.image && this.draft.map) return this.#add();
     this.control.draw();
@@ -92,6 +93,7 @@ export class Placement {
     if (this.panes.view(side).cursor.place) this.panes.view(other).canvas.focus();
     await this.studio.attempt(async () => {
       const place = await this.panes.expected(side, at);
+      if (draft !== this.draft || draft[side] !== at) return;
       this.expected[other] = place;
       if (!place) return;
       this.panes.centre(other, place);
@@ -104,11 +106,11 @@ export class Placement {
     const { image, map } = this.draft;
     if (!image || !map) return;
     const [mapCol, mapRow] = this.panes.layerPixel(map);
-    await this.studio.attempt(async () => {
-      await this.control.ask("POST", "/points", { col: image[0], row: image[1], layer: this.panes.layer.id, map_col: mapCol, map_row: mapRow });
-      this.studio.say(`point ${this.control.state.points.at(-1).id} measured`);
-    });
     this.start(true);
+    await this.studio.attempt(async () => {
+      const state = await this.control.ask("POST", "/points", { col: image[0], row: image[1], layer: this.panes.layer.id, map_col: mapCol, map_row: mapRow });
+      if (state) this.studio.say(`point ${state.points.at(-1).id} measured`);
+    });
   }
 
   /** Take the expected place for the half that is missing. */
@@ -125,8 +127,9 @@ export class Placement {
    * @param {"match" | "mark"} way
    */
   async measure(way) {
-    const { control } = this;
+    const { control, draft } = this;
     const chosen = control.chosen;
+    const opened = this.studio.image.id;
     const image = this.draft.image ?? this.expected.image ?? (chosen ? [chosen.col, chosen.row] : null);
     const map = this.draft.map ?? chosen?.on_map ?? null;
     let body;
@@ -139,7 +142,8 @@ export class Placement {
       body = { way, layer: this.panes.layer.id, map_col: mapCol, map_row: mapRow };
     }
     await this.studio.attempt(async () => {
-      const found = await send("POST", `/api/control/${this.studio.image.id}/measure?${control.query()}`, body);
+      const found = await send("POST", `/api/control/${opened}/measure?${control.query()}`, body);
+      if (draft !== this.draft || opened !== this.studio.image?.id) return;
       this.studio.say(`${way === "match" ? "matched" : "centred"} at col ${shown(found.col, 2)}, row ${shown(found.row, 2)}, ± ${shown(found.sigma, 3)} px`);
       if (this.on) await this.setHalf("image", [found.col, found.row]);
       else if (chosen) await control.change(chosen.id, { col: found.col, row: found.row });

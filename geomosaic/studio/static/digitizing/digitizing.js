@@ -1,7 +1,7 @@
 // Digitizing: layers of GeoPackages drawn on the map and in the image. The server carries vertices between pictures.
 
 import { get } from "../api.js";
-import { byId, element } from "../dom.js";
+import { byId, element, firstThere } from "../dom.js";
 import { Edits } from "./edits.js";
 import { FeatureForm } from "./form.js";
 import { LayerForm } from "./layer_form.js";
@@ -60,12 +60,13 @@ export class Digitizing {
   /** @type {any} */
   layer = null; // that is open, with its features
   layerId = "";
+  wanted = ""; // id of the layer that was chosen last; a file that is being written may be missing for a moment
   /** @type {number | null} */
   selected = null;
   savedAt = -Infinity; // when this page changed a file
   serial = 0;
   reading = Promise.resolve();
-  choice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-layer", onchange: () => { this.layerId = this.choice.value; this.selected = null; this.setMode("choose"); this.load(); } }));
+  choice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-layer", onchange: () => { this.wanted = this.choice.value; this.selected = null; this.setMode("choose"); this.load(); } }));
   kindChoice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-kind", "aria-label": "Kind of geometry", onchange: () => this.setMode(this.mode) },
     ...Object.entries(WORDS).map(([kind, word]) => element("option", { value: kind }, word))));
   drawButton = element("button", { id: "features-draw", class: "primary", "aria-pressed": "false", onclick: () => this.setMode(this.mode === "draw" ? "choose" : "draw") }, "Draw (D)");
@@ -191,7 +192,7 @@ export class Digitizing {
       const overview = await get("/api/features");
       if (serial !== this.serial) return;
       this.overview = overview;
-      if (!overview.layers.some((/** @type {any} */ one) => one.id === this.layerId)) this.layerId = overview.layers[0]?.id ?? "";
+      this.layerId = firstThere([this.wanted, this.layerId], overview.layers);
       this.choice.replaceChildren(...overview.layers.map((/** @type {any} */ one) => element("option", { value: one.id }, one.name === one.file.replace(/\.gpkg$/, "") ? one.file : `${one.file}: ${one.name}`)));
       this.choice.value = this.layerId;
       this.waiting.render();

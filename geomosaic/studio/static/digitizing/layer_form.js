@@ -41,7 +41,7 @@ export class LayerForm {
     await tool.studio.attempt(async () => {
       const made = await send("POST", "/api/features/layers", { name: this.name.value, kind: this.kind.value, crs: this.crs.value, map_layer: tool.mapId, fields });
       tool.savedAt = performance.now();
-      tool.layerId = made.id;
+      tool.wanted = made.id;
       tool.studio.say(`${this.name.value.trim()}.gpkg created`);
       this.name.value = "";
       this.fields.replaceChildren();

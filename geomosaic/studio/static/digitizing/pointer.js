@@ -21,11 +21,12 @@ export class Pointer {
   constructor(tool) {
     this.tool = tool;
     this.busy = false;
+    this.side = null; // that is pointed in
     /** @type {(() => void) | null} */
     this.next = null;
     for (const side of [tool.image, tool.map]) {
       side.view.map.on("pointermove", (/** @type {any} */ event) => !event.dragging && this.#ask(side, event.coordinate));
-      side.view.canvas.addEventListener("pointerleave", () => this.clear());
+      side.view.canvas.addEventListener("pointerleave", () => { this.side = null; this.clear(); });
     }
   }
 
@@ -46,6 +47,7 @@ export class Pointer {
   #ask(side, at) {
     const { tool } = this;
     if (!tool.open || !tool.relief || !tool.mapId || !tool.layer) return;
+    this.side = side;
     const ask = async () => {
       this.busy = true;
       try {
@@ -53,7 +55,7 @@ export class Pointer {
         const names = side.name === "image" ? ["col", "row"] : ["x", "y"];
         const query = new URLSearchParams({ image: tool.studio.image.id, map_layer: tool.mapId, [names[0]]: String(first), [names[1]]: String(second) });
         const found = await get(`/api/features/place?${query}`);
-        if (tool.open) this.#show(side, found);
+        if (tool.open && this.side === side) this.#show(side, found);
       } catch (error) {
         this.figures.textContent = /** @type {Error} */ (error).message;
       }

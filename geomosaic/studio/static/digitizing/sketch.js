@@ -52,12 +52,12 @@ export class Sketch {
    */
   async resume(key, drawn) {
     const { tool } = this, { studio } = tool;
-    tool.layerId = drawn.layer;
+    tool.wanted = drawn.layer;
     await tool.load();
     if (drawn.side === "image" && studio.image?.id !== drawn.picture) {
       const image = [...studio.project.images, ...studio.project.layers].find((/** @type {any} */ one) => one.id === drawn.picture);
       if (!image) return studio.say("the image that was drawn in is gone", true);
-      await studio.chooseImage(image);
+      await studio.openImage(image);
       await tool.load();
     }
     tool.setMode("draw");

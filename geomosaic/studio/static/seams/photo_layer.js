@@ -12,6 +12,7 @@ const LENS = 110; // radius in pixels
 /** Layer of the photo that is looked at. */
 export class PhotoLayer {
   name = ""; // of the photo that is shown
+  serial = 0; // of what is shown; what was asked for before comes too late
   lens = true;
   /** @type {number[] | null} pixel of the pane under the pointer */
   pointer = null;
@@ -33,6 +34,7 @@ export class PhotoLayer {
 
   /** @param {string} name of the photo; empty for none */
   async show(name) {
+    const serial = ++this.serial;
     this.name = name;
     this.layer?.setMap(null);
     this.layer = null;
@@ -40,7 +42,7 @@ export class PhotoLayer {
     const mosaic = this.studio.mapMain;
     if (!image || mosaic?.role !== "mosaic") return;
     const facts = { ...(await get(`/api/raster/${mosaic.id}`)), ready: 1 };
-    if (this.name !== name) return;
+    if (serial !== this.serial) return;
     const { source, extent } = tileSource(mosaic, facts, this.map.getView().getProjection(), mosaic.affine, `/photo-tiles/${image.id}`);
     source.on("tileloaderror", () => this.studio.say(`${name} could not be drawn here`, true));
     const layer = new ol.layer.Tile({ source, extent, zIndex: 20, map: this.map });

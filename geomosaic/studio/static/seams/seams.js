@@ -36,6 +36,7 @@ export class Seams {
   taken = null;
   /** @type {any[]} */
   found = []; // photos of the place or the area
+  asked = 0; // of the place, area or line that was asked about last
   title = "";
   footprintsShown = true; // before this tab was opened
   buttons = new Map(MODES.map(([mode, title, key]) => [mode, element("button", { id: `seams-${mode}`, "aria-pressed": "false", onclick: () => this.setMode(mode) }, `${title} (${key})`)]));
@@ -186,6 +187,7 @@ export class Seams {
   }
 
   #clear() {
+    this.asked += 1;
     this.area = null;
     this.photo.area = null;
     this.photo.show("");
@@ -228,8 +230,10 @@ export class Seams {
 
   /** @param {number[][]} line */
   async #cut(line) {
+    const asked = ++this.asked;
     await this.studio.attempt(async () => {
       const pieces = await send("POST", "/api/seams/pieces", { line });
+      if (asked !== this.asked) return;
       const shapes = pieces.map((/** @type {any} */ one) => new ol.geom.Polygon([one.area]));
       this.lines.pieces(shapes);
       this.list.replaceChildren(element("h3", {}, "Choose a piece"), element("ul", { class: "list" }, ...pieces.map((/** @type {any} */ one, /** @type {number} */ i) =>
@@ -258,8 +262,11 @@ export class Seams {
    */
   async #ask(where, title) {
     if (!this.state || this.state.reason) return;
+    const asked = ++this.asked;
     await this.studio.attempt(async () => {
-      this.found = await send("POST", "/api/seams/candidates", where);
+      const found = await send("POST", "/api/seams/candidates", where);
+      if (asked !== this.asked) return;
+      this.found = found;
       this.title = title;
       this.#renderPhotos();
     });
@@ -293,7 +300,9 @@ export class Seams {
 
   /** @param {string} name of the photo that gets the area */
   async give(name) {
-    if (await this.#edit("give", { image: name, area: this.area.getCoordinates()[0] }, `area given to ${name}`)) this.setMode(this.mode);
+    const { area } = this;
+    const given = await this.#edit("give", { image: name, area: area.getCoordinates()[0] }, `area given to ${name}`);
+    if (given && area === this.area) this.setMode(this.mode);
   }
 
   /**

@@ -35,113 +35,171 @@ const textOf = (value) => (value === null || value === undefined ? "" : Array.is
 /**
  * Field of one key.
  * @param {any} field as the server declares it
- * @param {any} value undefined where the layout has none
  * @param {{id: string, change: (value: any) => void}} how
+ * @returns {{node: HTMLElement, show: (value: any) => void}} `show` takes the layout's value, undefined where it has none
  */
-function fieldOf(field, value, { id, change }) {
+function fieldOf(field, { id, change }) {
   const label = words(field.key);
   if (field.kind === "boolean") {
     const box = /** @type {HTMLInputElement} */ (element("input", { type: "checkbox", id }));
-    box.checked = value ?? field.default;
     box.addEventListener("change", () => change(box.checked === field.default ? null : box.checked));
-    return element("div", { class: "field check" }, element("label", {}, box, label));
+    return { node: element("div", { class: "field check" }, element("label", {}, box, label)), show: (value) => { box.checked = value ?? field.default; } };
   }
   const initial = textOf(field.default);
   /** @type {any} */
   let input;
+  /** @type {(value: any) => void} */
+  let show;
   if (field.kind === "choice") {
     input = element("select", { id }, ...field.choices.map((/** @type {string} */ one) => element("option", { value: one }, one)));
-    input.value = value ?? field.default;
     input.addEventListener("change", () => change(input.value === field.default ? null : input.value));
+    show = (value) => { input.value = value ?? field.default; };
   } else {
     const list = field.suggested ? `${id}-list` : null;
     input = element("input", { type: "text", id, list, placeholder: initial || emptyWords(field), spellcheck: "false" });
-    input.value = textOf(value);
-    input.addEventListener("change", () => change(valueOf(field, input.value)));
+    let saved = ""; // text of the layout's value
+    let typing = false; // whether that came while something else was being typed, which stays
+    show = (value) => {
+      if (textOf(value) === saved) return;
+      typing = document.activeElement === input && input.value !== saved;
+      saved = textOf(value);
+      if (!typing) input.value = saved;
+    };
+    input.addEventListener("change", () => {
+      typing = false;
+      change(valueOf(field, input.value));
+    });
+    input.addEventListener("blur", () => { if (typing) input.value = saved; });
   }
   const extra = [];
   if (field.suggested) extra.push(element("datalist", { id: `${id}-list` }, ...field.suggested.map((/** @type {string} */ one) => element("option", { value: one }))));
   if (field.kind === "colour") {
     const pick = /** @type {HTMLInputElement} */ (element("input", { type: "color", "aria-label": `${label}, chosen from a palette` }));
-    const shown = textOf(value) || initial;
-    pick.value = /^#[0-9a-f]{6}$/i.test(shown) ? shown : "#000000";
     pick.addEventListener("change", () => change(pick.value));
     extra.push(pick);
+    const showText = show;
+    show = (value) => {
+      showText(value);
+      const shown = textOf(value) || initial;
+      pick.value = /^#[0-9a-f]{6}$/i.test(shown) ? shown : "#000000";
+    };
   }
-  return element("div", { class: "field" }, element("label", { for: id }, label), element("span", { class: "entry" }, input, ...extra));
+  return { node: element("div", { class: "field" }, element("label", { for: id }, label), element("span", { class: "entry" }, input, ...extra)), show };
 }
 
-/**
- * Form of a whole layout. Groups that are open stay open, and the field that has the focus keeps it.
- * @param {HTMLElement} place
- * @param {any[]} form tables with their keys
- * @param {any} state of the layout
- * @param {{edit: (edits: any[], title: string) => void, vectors: string[]}} how
- */
-export function showForm(place, form, state, { edit, vectors }) {
-  const open = new Set([...place.querySelectorAll("details[open]")].map((one) => one.id));
-  const focused = document.activeElement && place.contains(document.activeElement) ? document.activeElement.id : "";
-  const first = !place.childElementCount;
-  const groups = form.map(({ table, keys }) => {
-    const id = `sheet-form-${table}`;
-    const body = table === "layer" ? layersOf(keys, state.values.layer ?? [], edit, vectors) : keys.map((/** @type {any} */ field) =>
-      fieldOf(field, state.values[table]?.[field.key], {
-        id: `${id}-${field.key}`,
-        change: (value) => edit([{ table, key: field.key, value }], `${TITLES[table].toLowerCase()}: ${words(field.key).toLowerCase()}`),
-      }));
-    return element("details", { id, open: open.has(id) || (first && table === "sheet") }, element("summary", {}, TITLES[table] ?? table), ...body);
-  });
-  place.replaceChildren(...groups);
-  if (focused) document.getElementById(focused)?.focus();
-}
+const nameOf = (/** @type {any} */ layer) => layer.title || layer.layer || layer.file;
 
-/**
- * @param {any[]} keys
- * @param {any[]} layers
- * @param {(edits: any[], title: string) => void} edit
- * @param {string[]} vectors files that can be added
- */
-function layersOf(keys, layers, edit, vectors) {
-  const cards = layers.map((layer, index) => {
-    const name = layer.title || layer.layer || layer.file;
-    const move = (/** @type {number} */ to, /** @type {string} */ where) => edit([{ layer: "move", index, to }], `layer ${name} moved ${where}`);
-    return element("div", { class: "card", role: "group", "aria-label": `Layer ${name}` },
-      element("div", { class: "head" }, element("strong", { class: "grow" }, name),
-        element("button", { "aria-label": `Draw ${name} below`, title: "Below", disabled: index === 0, onclick: () => move(index - 1, "down") }, "↓"),
-        element("button", { "aria-label": `Draw ${name} above`, title: "Above", disabled: index === layers.length - 1, onclick: () => move(index + 1, "up") }, "↑"),
-        element("button", { "aria-label": `Take ${name} off the sheet`, title: "Take off", onclick: () => edit([{ layer: "remove", index }], `layer ${name} taken off`) }, "✕")),
-      ...keys.map((field) => fieldOf(field, layer[field.key], {
-        id: `sheet-form-layer-${index}-${field.key}`,
-        change: (value) => edit([{ table: "layer", index, key: field.key, value }], `layer ${name}: ${field.key}`),
-      })));
-  }).reverse(); // the uppermost first, as in the legend
-  const choice = /** @type {any} */ (element("select", { "aria-label": "Vector file" }, ...vectors.map((one) => element("option", { value: one }, one))));
-  const add = vectors.length
-    ? element("div", { class: "tools" }, choice, element("button", { onclick: () => edit([{ layer: "add", file: choice.value }], `layer ${choice.value} added`) }, "Add layer"))
-    : element("p", { class: "empty" }, "No vector file lies beside the project file.");
-  return [add, ...cards];
-}
+/** Form of a whole layout. It is made for a layout and the names of its layers; other values go into its fields. */
+export class LayoutForm {
+  place = element("div", { id: "sheet-form" });
+  made = ""; // what the form was made for
+  /** @type {{show: (value: any) => void, of: (values: any) => any}[]} */
+  fields = [];
 
-/**
- * Show an error at its field, `[table] key`; what has no field is left to the message above the form.
- * @param {HTMLElement} place
- * @param {any} error null where there is none
- */
-export function showError(place, error) {
-  for (const one of place.querySelectorAll(".field-error")) one.remove();
-  for (const one of place.querySelectorAll("[aria-invalid]")) {
-    one.removeAttribute("aria-invalid");
-    one.removeAttribute("aria-describedby");
+  /** @param {(edits: any[], title: string) => void} edit */
+  constructor(edit) {
+    this.edit = edit;
   }
-  if (!error) return;
-  const [, table, key] = /\[+(\w+)\]+(?:\s+(\w+))?/.exec(error.where ?? "") ?? [];
-  const named = key ?? /`(\w+)`/.exec(error.what)?.[1];
-  const group = table ? document.getElementById(`sheet-form-${table}`) : null;
-  if (!group) return;
-  group.setAttribute("open", "");
-  const input = document.getElementById(`sheet-form-${table}-${named}`) ?? group.querySelector(`[id$="-${CSS.escape(named ?? "")}"]`);
-  if (!input) return;
-  input.setAttribute("aria-invalid", "true");
-  input.setAttribute("aria-describedby", "sheet-field-error");
-  input.closest(".field")?.append(element("p", { class: "field-error bad", id: "sheet-field-error" }, [error.what, error.hint].filter(Boolean).join("; ")));
+
+  /** @param {string} text instead of a form */
+  empty(text) {
+    this.made = "";
+    this.place.replaceChildren(element("p", { class: "empty" }, text));
+    this.place.removeAttribute("inert");
+  }
+
+  /**
+   * @param {any[]} form tables with their keys
+   * @param {any} state of the layout
+   * @param {string[]} vectors files that can be added
+   */
+  show(form, state, vectors) {
+    const layers = state.values.layer ?? [];
+    const made = JSON.stringify([state.id, vectors, layers.map(nameOf)]);
+    if (made !== this.made) this.#make(form, layers, vectors);
+    this.made = made;
+    for (const { show, of } of this.fields) show(of(state.values));
+    this.place.toggleAttribute("inert", !state.editable);
+  }
+
+  /**
+   * Make the fields. Groups that are open stay open, and the field that has the focus keeps it.
+   * @param {any[]} form
+   * @param {any[]} layers
+   * @param {string[]} vectors
+   */
+  #make(form, layers, vectors) {
+    const open = new Set([...this.place.querySelectorAll("details[open]")].map((one) => one.id));
+    const focused = document.activeElement && this.place.contains(document.activeElement) ? document.activeElement.id : "";
+    const first = !this.place.querySelector("details");
+    this.fields = [];
+    const groups = form.map(({ table, keys }) => {
+      const id = `sheet-form-${table}`;
+      const title = TITLES[table] ?? table;
+      const body = table === "layer" ? this.#layers(keys, layers, vectors) : keys.map((/** @type {any} */ field) => this.#field(field, `${id}-${field.key}`, (values) => values[table],
+        (value) => this.edit([{ table, key: field.key, value }], `${title.toLowerCase()}: ${words(field.key).toLowerCase()}`)));
+      return element("details", { id, open: open.has(id) || (first && table === "sheet") }, element("summary", {}, title), ...body);
+    });
+    this.place.replaceChildren(...groups);
+    if (focused) document.getElementById(focused)?.focus();
+  }
+
+  /**
+   * @param {any} field
+   * @param {string} id
+   * @param {(values: any) => any} table of the values that has the key
+   * @param {(value: any) => void} change
+   */
+  #field(field, id, table, change) {
+    const { node, show } = fieldOf(field, { id, change });
+    this.fields.push({ show, of: (values) => table(values)?.[field.key] });
+    return node;
+  }
+
+  /**
+   * @param {any[]} keys
+   * @param {any[]} layers
+   * @param {string[]} vectors
+   */
+  #layers(keys, layers, vectors) {
+    const cards = layers.map((layer, index) => {
+      const name = nameOf(layer);
+      const move = (/** @type {number} */ to, /** @type {string} */ where) => this.edit([{ layer: "move", index, to }], `layer ${name} moved ${where}`);
+      return element("div", { class: "card", role: "group", "aria-label": `Layer ${name}` },
+        element("div", { class: "head" }, element("strong", { class: "grow" }, name),
+          element("button", { "aria-label": `Draw ${name} below`, title: "Below", disabled: index === 0, onclick: () => move(index - 1, "down") }, "↓"),
+          element("button", { "aria-label": `Draw ${name} above`, title: "Above", disabled: index === layers.length - 1, onclick: () => move(index + 1, "up") }, "↑"),
+          element("button", { "aria-label": `Take ${name} off the sheet`, title: "Take off", onclick: () => this.edit([{ layer: "remove", index }], `layer ${name} taken off`) }, "✕")),
+        ...keys.map((field) => this.#field(field, `sheet-form-layer-${index}-${field.key}`, (values) => values.layer?.[index],
+          (value) => this.edit([{ table: "layer", index, key: field.key, value }], `layer ${name}: ${field.key}`))));
+    }).reverse(); // the uppermost first, as in the legend
+    const choice = /** @type {any} */ (element("select", { "aria-label": "Vector file" }, ...vectors.map((one) => element("option", { value: one }, one))));
+    const add = vectors.length
+      ? element("div", { class: "tools" }, choice, element("button", { onclick: () => this.edit([{ layer: "add", file: choice.value }], `layer ${choice.value} added`) }, "Add layer"))
+      : element("p", { class: "empty" }, "No vector file lies beside the project file.");
+    return [add, ...cards];
+  }
+
+  /**
+   * Show an error at its field, `[table] key`; what has no field is left to the message above the form.
+   * @param {any} error null where there is none
+   */
+  tell(error) {
+    for (const one of this.place.querySelectorAll(".field-error")) one.remove();
+    for (const one of this.place.querySelectorAll("[aria-invalid]")) {
+      one.removeAttribute("aria-invalid");
+      one.removeAttribute("aria-describedby");
+    }
+    if (!error) return;
+    const [, table, key] = /\[+(\w+)\]+(?:\s+(\w+))?/.exec(error.where ?? "") ?? [];
+    const named = key ?? /`(\w+)`/.exec(error.what)?.[1];
+    const group = table ? document.getElementById(`sheet-form-${table}`) : null;
+    if (!group) return;
+    group.setAttribute("open", "");
+    const input = document.getElementById(`sheet-form-${table}-${named}`) ?? group.querySelector(`[id$="-${CSS.escape(named ?? "")}"]`);
+    if (!input) return;
+    input.setAttribute("aria-invalid", "true");
+    input.setAttribute("aria-describedby", "sheet-field-error");
+    input.closest(".field")?.append(element("p", { class: "field-error bad", id: "sheet-field-error" }, [error.what, error.hint].filter(Boolean).join("; ")));
+  }
 }

@@ -1,15 +1,15 @@
 // The tab of sheets: a layout chosen, edited in a form and on its preview, and printed.
 
 import { get, send } from "../api.js";
-import { byId, element } from "../dom.js";
-import { showError, showForm } from "./form.js";
+import { byId, element, firstThere } from "../dom.js";
+import { LayoutForm } from "./form.js";
 import { Stage } from "./stage.js";
 
 /** Sheets of the project. */
 export class SheetTool {
   /** @type {[string, string, () => void][]} */
   keys = [["+", "larger", () => this.zoom(1.5)], ["-", "smaller", () => this.zoom(1 / 1.5)], ["Arrows, Shift", "move the box that has the focus by 1 mm, by 5 mm", () => {}]];
-  choice = /** @type {any} */ (element("select", { id: "sheet-layout", "aria-label": "Layout", onchange: () => this.choose(this.choice.value) }));
+  choice = /** @type {any} */ (element("select", { id: "sheet-layout", "aria-label": "Layout", onchange: () => { this.layout = this.choice.value; this.load(); } }));
   raster = /** @type {any} */ (element("select", { id: "sheet-raster", "aria-label": "Raster of the sheet", onchange: () => this.draw() }));
   name = /** @type {any} */ (element("input", { type: "text", id: "sheet-name", placeholder: "name", "aria-label": "Name of a new layout" }));
   format = /** @type {any} */ (element("select", { id: "sheet-format", "aria-label": "Format" }, ...["pdf", "png", "tif"].map((one) => element("option", { value: one }, one === "tif" ? "GeoTIFF" : one.toUpperCase()))));
@@ -18,15 +18,19 @@ export class SheetTool {
   bar = element("progress", { id: "sheet-progress", hidden: true, "aria-label": "Progress of the print" });
   printed = element("p", { id: "sheet-printed", "aria-live": "polite" });
   message = element("div", { id: "sheet-message", "aria-live": "polite" });
-  form = element("div", { id: "sheet-form" });
+  form = new LayoutForm((edits, title) => this.edit(edits, title));
   shown = false;
+  layout = ""; // id of the layout that was chosen last; a file that is being written may be missing for a moment
+  serial = 0; // of the last reading: what was read for an earlier one comes too late
   /** @type {any} */
   overview = null;
   /** @type {any} */
   state = null;
   printing = false;
+  printSerial = 0; // of the print that is shown
   drawing = false;
   again = false;
+  saving = Promise.resolve(); // edits are saved in their order
   savedAt = -Infinity; // when this page changed a layout
   /** @type {any} */
   refused = null; // what was wrong with the last edit, until the next one
@@ -45,7 +49,7 @@ export class SheetTool {
     });
     studio.tabs.panel("sheet").append(
       element("div", { class: "tools" }, this.choice), begin, element("div", { class: "tools" }, element("label", { for: "sheet-raster" }, "of"), this.raster),
-      element("div", { class: "tools" }, this.printButton, this.format, this.stopButton), this.bar, this.printed, this.message, this.form);
+      element("div", { class: "tools" }, this.printButton, this.format, this.stopButton), this.bar, this.printed, this.message, this.form.place);
     studio.addEventListener("project", () => this.shown && this.load());
     for (const [id, factor] of [["sheet-larger", 1.5], ["sheet-smaller", 1 / 1.5]]) byId(String(id)).addEventListener("click", () => this.zoom(Number(factor)));
   }
@@ -64,35 +68,26 @@ export class SheetTool {
     this.draw();
   }
 
-  /** Read the layouts of the project, and that which is shown, anew. */
+  /** Read the layouts of the project, and that which is chosen, anew. */
   async load() {
+    const serial = ++this.serial;
     await this.studio.attempt(async () => {
-      this.overview = await get("/api/sheets");
-      const { layouts, rasters } = this.overview;
-      const chosen = this.choice.value;
-      const raster = this.raster.value;
+      const overview = await get("/api/sheets");
+      if (serial !== this.serial) return;
+      this.overview = overview;
+      const { layouts, rasters } = overview;
+      const layout = firstThere([this.layout, this.state?.id], layouts), raster = this.raster.value;
       this.choice.replaceChildren(...layouts.map((/** @type {any} */ one) => element("option", { value: one.id }, one.name)));
       this.raster.replaceChildren(...rasters.map((/** @type {any} */ one) => element("option", { value: one.id }, `${one.name} (${one.role})`)));
-      if (layouts.some((/** @type {any} */ one) => one.id === chosen)) this.choice.value = chosen;
-      if (rasters.some((/** @type {any} */ one) => one.id === raster)) this.raster.value = raster;
-      this.choice.hidden = !layouts.length;
-      if (!layouts.length) this.state = null;
-      this.showPrint(this.overview.print);
-      if (layouts.length) await this.choose(this.choice.value);
-      else {
-        this.stage.clear();
-        this.caption.textContent = "No layout yet";
-        this.place.textContent = "";
-        this.form.replaceChildren(element("p", { class: "empty" }, "The project has no layout of a sheet yet. Give a name and press New layout."));
-        this.tell(null);
-      }
+      this.raster.value = firstThere([raster], rasters);
+      this.choice.value = layout;
+      this.choice.hidden = !layout;
+      const state = layout ? await get(`/api/sheets/${layout}`) : null;
+      if (serial !== this.serial) return;
+      this.showState(state);
+      this.showPrint(overview.print);
+      await this.draw();
     });
-  }
-
-  /** @param {string} layout */
-  async choose(layout) {
-    if (layout !== this.state?.id) this.refused = null;
-    await this.studio.attempt(async () => this.showState(await get(`/api/sheets/${layout}`)));
   }
 
   async create() {
@@ -100,39 +95,50 @@ export class SheetTool {
       const made = await send("POST", "/api/sheets", { name: this.name.value });
       this.savedAt = performance.now();
       this.name.value = "";
+      this.layout = made.id;
       this.studio.showHistory(made.history);
-      await this.load();
-      this.choice.value = made.id;
-      await this.showState(made);
       this.studio.say(`${made.name} was begun`);
+      await this.load();
     });
   }
 
-  /** @param {any} state of a layout */
-  async showState(state) {
-    const same = this.state && JSON.stringify(this.state.values) === JSON.stringify(state.values) && this.state.id === state.id;
+  /** @param {any} state of a layout; null where there is none */
+  showState(state) {
+    if (state?.id !== this.state?.id) this.refused = null;
     this.state = state;
-    this.caption.textContent = state.name;
-    if (!same || !this.form.childElementCount) showForm(this.form, this.overview.form, state, { edit: (edits, title) => this.edit(edits, title), vectors: this.overview.vectors });
-    this.form.toggleAttribute("inert", !state.editable);
+    this.caption.textContent = state?.name ?? "No layout yet";
+    if (state) this.form.show(this.overview.form, state, this.overview.vectors);
+    else {
+      this.stage.clear();
+      this.place.textContent = "";
+      this.form.empty("The project has no layout of a sheet yet. Give a name and press New layout.");
+    }
     this.#nameThePrint();
-    this.tell(state.error);
-    await this.draw();
+    this.tell(state?.error);
   }
 
   /**
    * @param {any[]} edits
    * @param {string} title for the history
    */
-  async edit(edits, title) {
+  edit(edits, title) {
     const layout = this.state.id;
-    this.refused = null;
+    this.saving = this.saving.then(() => this.#save(layout, edits, title));
+  }
+
+  /**
+   * @param {string} layout
+   * @param {any[]} edits
+   * @param {string} title
+   */
+  async #save(layout, edits, title) {
     try {
-      const state = await send("PATCH", `/api/sheets/${layout}`, { edits, title });
+      const { history } = await send("PATCH", `/api/sheets/${layout}`, { edits, title });
       this.savedAt = performance.now();
+      this.refused = null;
       this.studio.say(title);
-      this.studio.showHistory(state.history);
-      if (this.state.id === layout) await this.showState(state);
+      this.studio.showHistory(history);
+      this.load();
     } catch (error) {
       const said = /** @type {any} */ (error);
       this.refused = said.said ?? { what: said.message, where: "", hint: "" };
@@ -175,11 +181,10 @@ export class SheetTool {
     this.place.textContent = "drawing …";
     const { dpi } = this.stage, { id } = this.state;
     const found = await get(`/api/sheets/${id}/preview?raster=${this.raster.value}&dpi=${dpi}`);
-    if (this.state?.id !== id) return;
+    if (this.again || this.state?.id !== id) return;
     this.place.textContent = "";
     this.tell(found.error, found.notes);
-    if (found.error || this.again) return;
-    await this.stage.show(found.sheet, `/api/sheets/pictures/${found.key}.png`);
+    if (found.error || !(await this.stage.show(found.sheet, `/api/sheets/pictures/${found.key}.png`))) return;
     const { width, height, scale } = found.sheet;
     this.place.textContent = `1 : ${scale.toLocaleString("en").replaceAll(",", "\u202f")} on ${width} × ${height} mm`;
     if (this.stage.dpi > dpi) this.again = true; // the paper was not known before the first picture
@@ -194,7 +199,7 @@ export class SheetTool {
     error ??= this.refused;
     const card = (/** @type {string} */ kind, /** @type {(string | null)[]} */ lines) => element("div", { class: `card ${kind}` }, ...lines.filter(Boolean).map((line) => element("p", {}, line)));
     this.message.replaceChildren(...(error ? [card("error", [error.where ? `${error.where}: ${error.what}` : error.what, error.hint])] : []), ...notes.map((note) => card("note", [note])));
-    showError(this.form, error);
+    this.form.tell(error);
   }
 
   async print() {
@@ -214,6 +219,8 @@ export class SheetTool {
 
   /** @param {any} print as the server tells it; null where there was none */
   showPrint(print) {
+    if (print && print.serial < this.printSerial) return; // an event was faster than the answer
+    this.printSerial = print?.serial ?? 0;
     const active = print?.state === "running";
     this.printing = active;
     this.stopButton.hidden = !active;

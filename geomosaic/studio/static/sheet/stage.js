@@ -47,12 +47,13 @@ export class Stage {
   /**
    * @param {any} sheet page and boxes of elements, mm from the lower left corner
    * @param {string} address of its picture
+   * @returns {Promise<boolean>} whether it is shown; another one may have been asked for meanwhile
    */
   async show(sheet, address) {
     const next = new Image(), serial = ++this.serial;
     next.src = address;
     await next.decode();
-    if (serial !== this.serial) return;
+    if (serial !== this.serial) return false;
     this.sheet = sheet;
     this.picture.src = address;
     for (const [name, box] of this.boxes) {
@@ -65,6 +66,7 @@ export class Stage {
       if (!this.boxes.has(name)) this.boxes.set(name, this.#box(name));
     }
     this.#size();
+    return true;
   }
 
   /** Show nothing. */
