@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from geomosaic.execution.units import map_units
-from geomosaic.geo.grid import Grid, Window
+from geomosaic.geo.grid import Bounds, Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.mosaicking.colour.balance import thumbnail
 from geomosaic.mosaicking.colour.corrections import Correction, corrected
@@ -62,6 +62,18 @@ class Features:
     slope: Float32Array
     texture: Float32Array
     contrast: float
+
+    def cropped(self, window: Window, part: Window) -> Features:
+        """Features of a part of the window.
+
+        Parameters
+        ----------
+        window : Window
+            Of these features.
+        part : Window
+        """
+        own = part.slices_in(window)
+        return Features(self.values[own], self.valid[own], self.slope[own], self.texture[own], self.contrast)
 
 
 def features(values: AnyArray, valid: BoolArray) -> Features:
@@ -218,19 +230,22 @@ class SeamCost:
 def seam_cost(
     photos: Photos,
     grid: Grid,
+    part: Window,
     candidates: IntArray,
     colours: Sequence[Correction],
     weights: SeamWeights,
     layers: SeamLayers,
     options: RenderOptions,
 ) -> SeamCost:
-    """Cost of seams through all cells, and of the candidate images that may show them.
+    """Cost of seams through the cells of a window, and of the candidate images that may show them.
 
     Parameters
     ----------
     photos : Photos
     grid : Grid
         Coarse grid of the cells.
+    part : Window
+        Cells (rows, cols) of it.
     candidates : int array (ranks, rows, cols)
         Images that may show each cell, -1 where there are no more; see `voronoi.nearest_images`.
     colours : sequence of Correction
@@ -244,26 +259,29 @@ def seam_cost(
     -------
     SeamCost
     """
-    windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
-    pairwise, unary = np.zeros(grid.shape, dtype=np.float32), np.zeros(candidates.shape, dtype=np.float32)
+    pairwise, unary = np.zeros(candidates.shape[1:], dtype=np.float32), np.zeros(candidates.shape, dtype=np.float32)
     # From north to south, each image held only until its last neighbour has come: memory is that of a strip.
     neighbours = _overlapping_images(candidates)
+    windows = {i: grid.window_of(photos.outlines[i].bounds) for i in neighbours}
     order = sorted(neighbours, key=lambda i: (windows[i].row, i))
-    held: dict[int, Features] = {}
+    held: dict[int, tuple[Window, Features]] = {}
     terms = partial(_image_terms, photos, grid, tuple(colours), weights)
     for done, (i, (found, cost)) in enumerate(map_units(terms, order, options, ahead=1)):
-        held[i] = found
-        unary[:, *_slices(windows[i])] += np.where(candidates[:, *_slices(windows[i])] == i, cost, 0)
+        # Of the whole image, so that its contrast and edge are the same in each part.
+        own = windows[i].intersection(part)
+        held[i] = own, found.cropped(windows[i], own)
+        place = own.slices_in(part)
+        unary[:, *place] += np.where(candidates[:, *place] == i, cost[own.slices_in(windows[i])], 0)
         for j in sorted(neighbours[i] & held.keys()):
-            _add_difference(i, j, held, windows, candidates, weights, pairwise)
+            _add_difference(i, j, held, part, candidates, weights, pairwise)
             neighbours[i].discard(j)
             neighbours[j].discard(i)
             if not neighbours[j]:
                 del held[j]
         if not neighbours[i]:
             del held[i]
-        options.report(done + 1, len(photos), "seams")
-    return SeamCost(_with_site_terms(pairwise, photos, grid, weights, layers), unary)
+        options.report(done + 1, len(order), "seams")
+    return SeamCost(_with_site_terms(pairwise, photos, grid.crop(part), weights, layers), unary)
 
 
 def _overlapping_images(candidates: IntArray) -> dict[int, set[int]]:
@@ -280,10 +298,6 @@ def _overlapping_images(candidates: IntArray) -> dict[int, set[int]]:
                 pairs.setdefault(i, set()).add(j)
                 pairs.setdefault(j, set()).add(i)
     return pairs
-
-
-def _slices(window: Window) -> tuple[slice, slice]:
-    return slice(window.row, window.stop_row), slice(window.col, window.stop_col)
 
 
 def _image_terms(
@@ -308,29 +322,24 @@ def _angles(photo: Photo, photos: Photos, grid: Grid, window: Window) -> FloatAr
 def _add_difference(
     i: int,
     j: int,
-    held: dict[int, Features],
-    windows: Sequence[Window],
+    held: Mapping[int, tuple[Window, Features]],
+    part: Window,
     candidates: IntArray,
     weights: SeamWeights,
     seam: Float32Array,
 ) -> None:
     """Difference of two images, entered in place into the cost of the cells that both may show."""
-    common = windows[i].intersection(windows[j])
+    (of_one, one), (of_other, other) = held[i], held[j]
+    common = of_one.intersection(of_other)
     if common.empty:
         return
-    ranked = candidates[:, *_slices(common)]
+    place = common.slices_in(part)
+    ranked = candidates[:, *place]
     shared: BoolArray = (ranked == i).any(axis=0) & (ranked == j).any(axis=0)
-    one, other = (_cropped(held[k], windows[k], common) for k in (i, j))
-    cost = seam[_slices(common)]
+    cost = seam[place]
     # Where three images or more may show a cell it is not known yet which two meet there: the worst pair counts.
-    cost[shared] = np.maximum(cost, image_difference(one, other, weights))[shared]
-
-
-def _cropped(found: Features, window: Window, part: Window) -> Features:
-    inside = part.slices_in(window)
-    return Features(
-        found.values[inside], found.valid[inside], found.slope[inside], found.texture[inside], found.contrast
-    )
+    difference = image_difference(one.cropped(of_one, common), other.cropped(of_other, common), weights)
+    cost[shared] = np.maximum(cost, difference)[shared]
 
 
 def _with_site_terms(
@@ -346,11 +355,12 @@ def _with_site_terms(
         total = total + np.float32(weights.heights) * raised_objects(_cell_heights(photos, grid), metres)
     # Lines and areas are widened by a cell, so that none slips between cell centres.
     cell = grid.resolution[0]
-    if layers.follow:
-        along = rasterized([(shape.buffer(cell), 1) for shape in layers.follow], grid) == 1
+    near = layers.near(grid.bounds, 2 * cell)
+    if near.follow:
+        along = rasterized([(shape.buffer(cell), 1) for shape in near.follow], grid) == 1
         total[along] *= np.float32(weights.follow)
-    if layers.avoid:
-        total[rasterized([(shape.buffer(cell), 1) for shape in layers.avoid], grid) == 1] += np.float32(weights.avoid)
+    if near.avoid:
+        total[rasterized([(shape.buffer(cell), 1) for shape in near.avoid], grid) == 1] += np.float32(weights.avoid)
     return np.asarray(total, dtype=np.float32)
 
 
@@ -371,11 +381,11 @@ def _cell_heights(photos: Photos, grid: Grid) -> Float32Array:
         t = patch.patch.transform
         col, row = t.a * xy[:, 0] + t.b * xy[:, 1] + t.c - 0.5, t.d * xy[:, 0] + t.e * xy[:, 1] + t.f - 0.5
         z = map_coordinates(patch.patch.heights, [row, col], order=1, mode="constant", cval=np.nan)
-        heights[_slices(part)] = z.reshape(part.height, part.width)
+        heights[part.slices_in(grid.window)] = z.reshape(part.height, part.width)
     return heights
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SeamLayers:
     """Lines and areas that seams follow or avoid, in the output map.
 
@@ -389,6 +399,32 @@ class SeamLayers:
 
     follow: Sequence[Any] = ()
     avoid: Sequence[Any] = ()
+
+    def near(self, bounds: Bounds, distance: float) -> SeamLayers:
+        """Lines and areas within a distance of bounds.
+
+        Parameters
+        ----------
+        bounds : Bounds
+            Left, bottom, right, top in the output map.
+        distance : float
+            Map units.
+        """
+        import shapely
+
+        box = shapely.box(*bounds).buffer(distance, join_style="mitre")
+        return SeamLayers(
+            *(
+                [shapes[k] for k in np.sort(tree.query(box)).tolist()]
+                for shapes, tree in zip((self.follow, self.avoid), self._trees, strict=True)
+            )
+        )
+
+    @cached_property
+    def _trees(self) -> tuple[Any, Any]:
+        import shapely
+
+        return shapely.STRtree(list(self.follow)), shapely.STRtree(list(self.avoid))
 
 
 def read_seam_layers(follow: Sequence[Path], avoid: Sequence[Path], grid: Grid) -> SeamLayers:
