@@ -262,16 +262,13 @@ def seam_cost(
     pairwise, unary = np.zeros(candidates.shape[1:], dtype=np.float32), np.zeros(candidates.shape, dtype=np.float32)
     # From north to south, each image held only until its last neighbour has come: memory is that of a strip.
     neighbours = _overlapping_images(candidates)
-    windows = {i: grid.window_of(photos.outlines[i].bounds) for i in neighbours}
-    order = sorted(neighbours, key=lambda i: (windows[i].row, i))
+    order = sorted(neighbours, key=lambda i: (grid.window_of(photos.outlines[i].bounds).row, i))
     held: dict[int, tuple[Window, Features]] = {}
-    terms = partial(_image_terms, photos, grid, tuple(colours), weights)
-    for done, (i, (found, cost)) in enumerate(map_units(terms, order, options, ahead=1)):
-        # Of the whole image, so that its contrast and edge are the same in each part.
-        own = windows[i].intersection(part)
-        held[i] = own, found.cropped(windows[i], own)
-        place = own.slices_in(part)
-        unary[:, *place] += np.where(candidates[:, *place] == i, cost[own.slices_in(windows[i])], 0)
+    terms = partial(_image_terms, photos, grid, part, tuple(colours), weights)
+    for done, (i, (found, price)) in enumerate(map_units(terms, order, options, ahead=1)):
+        own = grid.window_of(photos.outlines[i].bounds).intersection(part)
+        held[i], place = (own, found), own.slices_in(part)
+        unary[:, *place] += np.where(candidates[:, *place] == i, price, 0)
         for j in sorted(neighbours[i] & held.keys()):
             _add_difference(i, j, held, part, candidates, weights, pairwise)
             neighbours[i].discard(j)
@@ -301,17 +298,20 @@ def _overlapping_images(candidates: IntArray) -> dict[int, set[int]]:
 
 
 def _image_terms(
-    photos: Photos, grid: Grid, colours: Sequence[Correction], weights: SeamWeights, index: int
+    photos: Photos, grid: Grid, part: Window, colours: Sequence[Correction], weights: SeamWeights, index: int
 ) -> tuple[Features, FloatArray]:
-    """Features of an image on its window, and its unary cost (rows, cols) there."""
+    """Features of an image where its window meets a part of the grid, and its unary cost (rows, cols) there."""
     window = grid.window_of(photos.outlines[index].bounds)
+    own = window.intersection(part)
     with photos.using(index) as photo:
         piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
-        angle = _angles(photo, photos, grid, window) if weights.angle else np.zeros(piece.valid.shape)
+        angle = _angles(photo, photos, grid, own) if weights.angle else np.zeros((own.height, own.width))
     valid = piece.valid > 0
     values = corrected(colours[index], piece.values, window, grid, photos.grid)
-    price = weights.angle * np.minimum(angle / REFERENCE_ANGLE, 1) + weights.edge * edge_proximity(valid)
-    return features(values, valid), price
+    # Of the whole image, so that its contrast and edge are the same in each part.
+    edge = edge_proximity(valid)[own.slices_in(window)]
+    price = weights.angle * np.minimum(angle / REFERENCE_ANGLE, 1) + weights.edge * edge
+    return features(values, valid).cropped(window, own), price
 
 
 def _angles(photo: Photo, photos: Photos, grid: Grid, window: Window) -> FloatArray:

@@ -107,15 +107,14 @@ def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> Regio
     ranks, known = len(candidates), candidates[0] >= 0
     basin = _catchment_basins(cost, known)
     # The cells of a region have the same candidates, whatever their order.
-    sets = np.sort(candidates.reshape(ranks, -1), axis=0)[:, known.ravel()]
+    sets = np.sort(candidates[:, known], axis=0)
     # All cells with the same sole candidate are one region, whatever their basin: there is nothing to decide.
     sole = (sets[:-1] < 0).all(axis=0)
-    keys = np.vstack([np.where(sole, -1, basin.ravel()[known.ravel()]), sets])
-    order = np.lexsort(keys[::-1])
-    changed = np.any(np.diff(keys[:, order], axis=1) != 0, axis=0)
-    inverse = np.empty(keys.shape[1], dtype=np.int64)
-    inverse[order] = np.concatenate([[0], np.cumsum(changed)]) if len(order) else 0
-    count = int(inverse.max(initial=-1)) + 1
+    inverse = np.empty(sets.shape[1], dtype=np.int64)
+    alone, inverse[sole] = np.unique(sets[-1, sole], return_inverse=True)
+    mixed, inverse[~sole] = np.unique(_keys(basin[known], sets)[~sole], return_inverse=True)
+    inverse[~sole] += len(alone)
+    count = len(alone) + len(mixed)
     region = np.full(known.shape, -1)
     region[known] = inverse
     allowed = np.full((count, ranks), -1)
@@ -127,6 +126,18 @@ def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> Regio
             hit = (allowed[inverse, place] == image) & (image >= 0)
             totals[:, place] += np.bincount(inverse[hit], price[hit], count)
     return RegionGraph(region, allowed, totals, *_borders(region, cost, count))
+
+
+def _keys(basin: IntArray, sets: IntArray) -> IntArray:
+    """Numbers (N,) that are equal where the basins (N,) and the sets of candidates (ranks, N) of cells are."""
+    present = np.zeros(int(sets.max(initial=-1)) + 2, dtype=bool)
+    for images in sets:
+        present[images + 1] = True
+    place = np.cumsum(present) - 1
+    key, base = basin, int(present.sum())
+    for images in sets:
+        key = key * base + place[images + 1]
+    return key
 
 
 def _borders(region: IntArray, cost: AnyArray, count: int) -> tuple[IntArray, IntArray, FloatArray]:

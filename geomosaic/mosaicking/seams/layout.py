@@ -51,7 +51,7 @@ SMOOTHING = 2.0
 # Side in cells of the tiles in which candidates are found.
 TILE = 256
 # Bytes that the layout of a cell takes, as measured.
-CELL_BYTES = 170
+CELL_BYTES = 120
 
 
 class SeamMethod(Protocol):
