@@ -1,0 +1,177 @@
+"""Seams of large blocks: laid by subdomains as well as in one piece, with the same bytes whoever works."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from affine import Affine
+from pyproj import CRS
+from scipy.ndimage import gaussian_filter
+
+import geomosaic as gm
+from geomosaic.geo.grid import Grid, Window
+from geomosaic.mosaicking.seams import layout, subdomains
+from geomosaic.mosaicking.seams.subdomains import FREE, OUTSIDE, RIM, Subdomain, SubdomainSeams, rims_of, seams_in_turns
+from geomosaic.options.render import RenderOptions
+from geomosaic.raster.vector import read_layer
+
+LEFT, TOP, WIDTH, HEIGHT, RIGHT, DOWN, COLS, ROWS = 500_000.0, 5_500_000.0, 260, 220, 150, 120, 4, 3
+LEAN = 0.12
+"""Part of its distance from the middle of an image by which a house leans outwards."""
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory) -> list[Path]:
+    """Twelve orthos of a rough ground with houses, which lean away from the middle of each."""
+    folder, chance, paths = tmp_path_factory.mktemp("block"), np.random.default_rng(3), []
+    rows, cols = HEIGHT + DOWN * (ROWS - 1), WIDTH + RIGHT * (COLS - 1)
+    ground = 100.0 + 120.0 * gaussian_filter(chance.normal(size=(rows, cols)), 3)
+    houses = np.column_stack(
+        [chance.integers(0, cols, 160), chance.integers(0, rows, 160), chance.integers(5, 14, 160)]
+    )
+    profile = {"driver": "GTiff", "width": WIDTH, "height": HEIGHT, "count": 1, "dtype": "uint8", "crs": "EPSG:32631"}
+    for r, c in product(range(ROWS), range(COLS)):
+        top, left = r * DOWN, c * RIGHT
+        view = ground[top : top + HEIGHT, left : left + WIDTH] + chance.normal(0.0, 2.0, (HEIGHT, WIDTH))
+        for x, y, half in houses - [left, top, 0]:
+            x, y = x + LEAN * (x - WIDTH / 2), y + LEAN * (y - HEIGHT / 2)
+            view[max(0, int(y - half)) : max(0, int(y + half)), max(0, int(x - half)) : max(0, int(x + half))] = 240
+        paths.append(folder / f"r{r}c{c}.tif")
+        with rasterio.open(paths[-1], "w", transform=Affine(1, 0, LEFT + left, 0, -1, TOP - top), **profile) as dataset:
+            dataset.write(view.clip(0, 255).astype(np.uint8), 1)
+    return paths
+
+
+SMALL = {"SIDE": 150, "MARGIN": 80, "CONTEXT": 24}
+
+
+class Mosaics:
+    """Mosaics of the block, each made once: shares, labels and file."""
+
+    def __init__(self, block: list[Path], folder: Path) -> None:
+        self.block, self.folder, self.made = block, folder, dict[str, tuple[list[Any], np.ndarray, bytes]]()
+
+    def __call__(self, seams: str, largest: int = 10_000, **how: Any) -> tuple[list[Any], np.ndarray, bytes]:
+        name = f"{seams}-{largest}-{'-'.join(how)}"
+        if name not in self.made:
+            with pytest.MonkeyPatch.context() as patch:
+                for constant, value in SMALL.items():
+                    patch.setattr(subdomains, constant, value)
+                patch.setattr(layout, "LARGEST", largest)
+                out = self.folder / f"{name}.tif"
+                gm.mosaic(self.block, out, resolution=1.0, balance=False, feather=0.0, seams=seams, stac=False, **how)
+            shares = list(read_layer(out.with_suffix(".gpkg"), "seams").geometry)
+            with rasterio.open(out.with_name(f"{name}-labels.tif")) as labels:
+                self.made[name] = shares, labels.read(1).astype(int) - 1, out.read_bytes()
+        return self.made[name]
+
+
+@pytest.fixture(scope="module")
+def mosaics(block, tmp_path_factory) -> Mosaics:
+    return Mosaics(block, tmp_path_factory.mktemp("mosaics"))
+
+
+def seam_difference(block: list[Path], labels: np.ndarray) -> float:
+    """Sum over all seams of the difference between the two images that meet there."""
+    total = 0.0
+    shown = np.full((len(block), *labels.shape), np.nan)
+    for image, (r, c) in zip(shown, product(range(ROWS), range(COLS)), strict=True):
+        path = block[r * COLS + c]
+        with rasterio.open(path) as dataset:
+            image[r * DOWN : r * DOWN + HEIGHT, c * RIGHT : c * RIGHT + WIDTH] = dataset.read(1)
+    for one, two in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        here, there = labels[one], labels[two]
+        rows, cols = np.nonzero(here != there)
+        place = (slice(None), *one) if isinstance(one, tuple) else (slice(None), one)
+        images = shown[place]
+        i, j = here[rows, cols], there[rows, cols]
+        total += float(np.nansum(np.abs(images[i, rows, cols] - images[j, rows, cols])))
+    return total
+
+
+WHOLE = 10**9
+
+
+def test_seams_by_subdomains_are_nearly_as_good_as_in_one_piece(block, mosaics) -> None:
+    """Subdomains are smaller than a footprint here; of 400 images in 20 of the usual size seams cost half a per cent
+    less than in one piece, since either is a local minimum."""
+    parts, labels, _ = mosaics("graph-cut", threads=1)
+    whole = mosaics("graph-cut", WHOLE)[1]
+    nearest = seam_difference(block, mosaics("nearest")[1])
+    by_parts, at_once = seam_difference(block, labels), seam_difference(block, whole)
+    assert (labels != whole).any()
+    assert at_once < 0.4 * nearest
+    assert by_parts < 1.1 * at_once, (by_parts, at_once, nearest)
+    covered = shapely.union_all(parts)
+    assert all(share.is_valid for share in parts)
+    assert sum(share.area for share in parts) == pytest.approx(covered.area, rel=1e-9)
+    assert covered.area == pytest.approx((labels >= 0).sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize("seams", ["graph-cut", "halve"])
+def test_whoever_lays_the_subdomains_lays_the_same_seams(seams, mosaics) -> None:
+    one, _, file = mosaics(seams, threads=1)
+    with ThreadPoolExecutor(1) as executor:  # packs and opens everything as for another process
+        sent, _, sent_file = mosaics(seams, workers=executor)
+    assert (sent, sent_file) == (one, file)
+
+
+@pytest.mark.ci
+def test_threads_and_processes_lay_the_same_seams(mosaics) -> None:
+    one, _, file = mosaics("graph-cut", threads=1)
+    assert mosaics("graph-cut", threads=3, tile=1024)[::2] == (one, file)
+    assert mosaics("graph-cut", workers=2)[::2] == (one, file)
+
+
+def test_overlaps_are_halved_by_subdomains_where_they_are_in_one_piece(mosaics) -> None:
+    assert (mosaics("halve", threads=1)[1] != mosaics("halve", WHOLE)[1]).mean() < 0.002
+
+
+GRID = Grid.from_bounds(CRS("EPSG:32633"), (0.0, 0.0, 700.0, 500.0), 1.0)
+WINDOWS = [Window(0, 0, 700, 500), Window(0, 0, 420, 500)]
+"""Of two images: the cores from column 466 on are shown by the first alone."""
+
+
+def test_a_subdomain_takes_the_cells_along_its_core_as_its_neighbours_decided_them(monkeypatch) -> None:
+    for constant, value in SMALL.items():
+        monkeypatch.setattr(subdomains, constant, value)
+    seen, decided = np.full(GRID.shape, -9), list[Subdomain]()
+    chance, told = np.random.default_rng(1), []
+
+    def laid(part: Subdomain) -> SubdomainSeams:
+        known, core = part.decided, part.core.slices_in(part.window)
+        assert (known[core] == FREE).all()
+        ring = known != FREE
+        for neighbour in part.neighbours:
+            common = part.window.intersection(neighbour)
+            assert not common.empty
+            ring[common.slices_in(part.window)] = False
+        assert not ring.any()
+        close = known > OUTSIDE
+        now = seen[part.window.slices_in(GRID.window)]
+        assert (known[close] == now[close]).all()
+        wide = Window(part.core.col - RIM, part.core.row - RIM, part.core.width + 2 * RIM, part.core.height + 2 * RIM)
+        rim = wide.intersection(GRID.window).slices_in(GRID.window)
+        told.append(close.sum() == (seen[rim] > -9).sum())
+        decided.append(part)
+        labels = chance.integers(-1, 2, (part.core.height, part.core.width))
+        seen[part.core.slices_in(GRID.window)] = labels
+        return SubdomainSeams([(part.core, 0)], rims_of(part.core, labels))
+
+    reports: list[tuple[int, int, str]] = []
+    options = RenderOptions(threads=1, progress=lambda *report: reports.append(report))
+    cores = [core for core, _ in seams_in_turns(GRID, WINDOWS, laid, options)]
+    assert all(told)
+    assert [part.core for part in decided] == cores
+    # Four turns; none looks at a core of its own turn, and the ground of one image alone is nobody's.
+    assert sum(core.width * core.height for core in cores) == 500 * 420 == (seen > -9).sum()
+    assert [len(part.neighbours) for part in decided][:4] == [0, 0, 0, 0]
+    assert max(len(part.neighbours) for part in decided) == 8
+    assert reports[-1] == (len(cores), len(cores), "seams")
