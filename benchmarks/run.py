@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks import blend, bundle, edit, gigapixel, global_parts, growth, jobs, match, scale
+from benchmarks import blend, bundle, edit, gigapixel, global_parts, growth, jobs, match, scale, seam_layout
 from benchmarks.jobs import Setting
 from benchmarks.machine import description
 from benchmarks.process import Programs, helper
@@ -21,7 +21,7 @@ from benchmarks.rounds import tell
 JOBS = {
     **jobs.JOBS, "blend": blend.blend, "growth": growth.growth, "edit": edit.edit, "bundle": bundle.bundle,
     "match": match.match, "footprints": global_parts.global_parts, "gigapixel": gigapixel.gigapixel,
-    "scale": scale.scale,
+    "scale": scale.scale, "seams": seam_layout.seam_layout,
 }  # fmt: skip
 HERE = Path(__file__).resolve().parent
 RAM_DISK = Path("/dev/shm")
