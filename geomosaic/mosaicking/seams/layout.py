@@ -155,19 +155,56 @@ def least_cost_regions(
     weights: SeamWeights | None = None,
     layers: SeamLayers | None = None,
 ) -> list[Any]:
-    """Seam polygons of least cost, by graph cuts over image differences, raised objects and given lines and areas."""
+    """Seam polygons of least cost, by graph cuts over image differences, raised objects and given lines and areas.
+
+    Parameters
+    ----------
+    photos : Photos
+    outlines : sequence of Polygon or MultiPolygon
+        What each image shows, in the output map; empty for images that are left out.
+    colours : sequence of Correction
+        Of all images: they are compared as they will be seen.
+    options : RenderOptions
+        Threads, workers and progress.
+    weights : SeamWeights, optional
+    layers : SeamLayers, optional
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        One per image; they share no area, and their union is that of the outlines.
+    """
     weights, layers = weights or SeamWeights(), layers or SeamLayers()
     method = LeastCostSeams(photos, outlines, seam_grid(photos), tuple(colours), weights, layers)
     return undivided(_laid_out(photos, outlines, method, options), outlines, layers.avoid)
 
 
 def halved_regions(photos: Photos, outlines: Sequence[Any], options: RenderOptions) -> list[Any]:
-    """Seam polygons that halve overlaps: a place belongs to the image whose inner edge is farthest away."""
+    """Seam polygons that halve overlaps: a place belongs to the image whose inner edge is farthest away.
+
+    Parameters
+    ----------
+    photos : Photos
+    outlines : sequence of Polygon or MultiPolygon
+        What each image shows, in the output map; empty for images that are left out.
+    options : RenderOptions
+        Threads, workers and progress.
+
+    Returns
+    -------
+    list of Polygon or MultiPolygon
+        One per image; they share no area, and their union is that of the outlines.
+    """
     return _laid_out(photos, outlines, HalvedSeams(photos, outlines, seam_grid(photos), inner_edges(outlines)), options)
 
 
 def seam_grid(photos: Photos) -> Grid:
-    """Coarse grid on which seams are laid: about `LAYOUT_CELLS` across a footprint."""
+    """Coarse grid on which seams are laid: about `LAYOUT_CELLS` across a median footprint.
+
+    Parameters
+    ----------
+    photos : Photos
+    """
     areas = [np.prod(np.ptp(outline.ring, axis=0)) for outline in photos.outlines]
     pixel = photos.grid.resolution[0]
     return photos.grid.coarser(max(1, round(float(np.sqrt(np.median(areas))) / LAYOUT_CELLS / pixel)))
