@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,13 @@ import pystac
 import pytest
 import rasterio
 from cli_rig import PHOTOS
+from pyproj import CRS
 from rasterio.windows import from_bounds
 
 import geomosaic as gm
-from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.errors import GeomosaicWarning, InputError, OutputExistsError
+from geomosaic.geo.grid import Grid
+from geomosaic.mosaicking.outputs import MosaicFiles
 from geomosaic.options.mosaic import MosaicOptions, TileSize
 from geomosaic.options.render import RenderOptions
 
@@ -129,6 +133,18 @@ def test_sizes_that_are_none_are_refused(text) -> None:
     with pytest.raises(InputError, match="is not a size of tiles") as caught:
         MosaicOptions.of(tiling=text)
     assert caught.value.where == "`tiling`"
+
+
+@pytest.mark.parametrize(("text", "said"), [("1px", "1024 x 1024"), ("1500px", "1024 x 1024"), ("10m", "1024 x 1024")])
+def test_a_size_that_is_no_multiple_of_a_block_is_told(text, said) -> None:
+    grid = Grid.from_bounds(CRS("EPSG:32633"), (399500.0, 5499900.0, 401700.0, 5500200.0), 1.0)
+    files = MosaicFiles.of(Path("grid.vrt"), MosaicOptions.of(tiling=text), grid)
+    with pytest.warns(GeomosaicWarning, match=f"tiles have {said} pixels: their sides are multiples of 1024"):
+        files.rasters(grid, TileSize.parse(text))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for silent in ("2048px", "1km", "1.2km"):
+            files.rasters(grid, TileSize.parse(silent))
 
 
 def test_sizes_and_names() -> None:

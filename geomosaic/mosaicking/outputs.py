@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geomosaic.block import OrientedBlock
-from geomosaic.errors import InputError, OutputExistsError
+from geomosaic.errors import InputError, OutputExistsError, warn
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import BLOCK_WIDTH
@@ -196,6 +196,11 @@ class MosaicFiles:
         ----------
         grid : Grid
         size : TileSize or None
+
+        Warns
+        -----
+        GeomosaicWarning
+            Tiles are larger or smaller than a size in pixels, or than half a block.
         """
         if size is None:
             return {grid.window: self}
@@ -204,6 +209,8 @@ class MosaicFiles:
             for metres in np.array(grid.resolution) * metres_per_unit(grid.crs, _middle(grid))
         )
         width, height = (max(1, round(pixels / BLOCK_WIDTH)) * BLOCK_WIDTH for pixels in (across, down))
+        if (size.unit == "px" and width != size.value) or min(across, down) < BLOCK_WIDTH / 2:
+            warn(f"the tiles have {width} x {height} pixels: their sides are multiples of {BLOCK_WIDTH}")
         return {part: self.tile(part.col // width, part.row // height) for part in grid.window.split(width, height)}
 
     @property
