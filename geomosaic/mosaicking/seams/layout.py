@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.window_index import WindowIndex
 from geomosaic.mosaicking.colour.corrections import Correction
@@ -39,7 +40,7 @@ from geomosaic.mosaicking.seams.voronoi import (
     voronoi_regions,
 )
 from geomosaic.options.mosaic import SeamWeights
-from geomosaic.options.render import RenderOptions
+from geomosaic.options.render import MEGABYTE, PROGRAM, RenderOptions
 from geomosaic.raster.validity import polygons_of_labels, rasterized
 from geomosaic.render.photos import MemoryBudget, Photos
 from geomosaic.types import IntArray
@@ -51,7 +52,7 @@ SMOOTHING = 2.0
 # Side in cells of the tiles in which candidates are found.
 TILE = 256
 # Bytes that the layout of a cell takes, as measured.
-CELL_BYTES = 120
+CELL_BYTES = 140
 
 
 class SeamMethod(Protocol):
@@ -215,7 +216,15 @@ def _laid_out(photos: Photos, outlines: Sequence[Any], method: SeamMethod, optio
     import shapely
 
     grid = method.grid
-    if grid.width * grid.height <= LARGEST:
+    cells = grid.width * grid.height
+    if options.memory_limit < (needed := PROGRAM + CELL_BYTES * min(cells, LARGEST)):
+        raise InputError(
+            f"{options.memory_limit // MEGABYTE}M is too little memory for seams of {cells / 1e6:.1f} million cells, "
+            f"which take {-(-needed // MEGABYTE)}M",
+            where="`memory_limit`",
+            hint="allow more, or choose `seams` 'nearest', which takes none",
+        )
+    if cells <= LARGEST:
         whole = Subdomain(grid.window, grid.window, tuple(range(len(photos))))
         found: Any = _seams_of(method, whole, options).polygons
     else:
