@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -55,37 +56,56 @@ TILE = 256
 CELL_BYTES = 140
 
 
-class SeamMethod(Protocol):
-    """Method that lays seams: images of cells."""
-
-    @property
-    def grid(self) -> Grid:
-        """Grid of the cells."""
-
-    def labels(self, part: Subdomain, options: RenderOptions) -> IntArray:
-        """Image of each cell (rows, cols) of the window of a subdomain, by number; -1 where there is none."""
-
-
 @dataclass(frozen=True, eq=False)
-class LeastCostSeams:
-    """Seams of least cost, by graph cuts over image differences, raised objects and given lines and areas.
+class SeamMethod(ABC):
+    """Method that lays seams: images of cells.
 
     Attributes
     ----------
     photos : Photos
     outlines : sequence of Polygon or MultiPolygon
-        What each image shows, in the output map.
+        What each image shows, in the output map; empty for images that are left out.
     grid : Grid
         Of the cells, see `seam_grid`.
+    """
+
+    photos: Photos
+    outlines: Sequence[Any]
+    grid: Grid
+
+    @abstractmethod
+    def labels(self, part: Subdomain, options: RenderOptions) -> IntArray:
+        """Image of each cell (rows, cols) of the window of a subdomain, by number; -1 where there is none."""
+
+    def tiles(self, part: Subdomain) -> Iterator[Any]:
+        """Tiles of a subdomain: rows and columns, images at hand (K,), cells each shows (K, N), cell centres (N, 2)."""
+        images = [i for i in part.images if not self.outlines[i].is_empty]
+        windows = WindowIndex([self.grid.window_of(self.photos.outlines[i].bounds) for i in images])
+        for tile in part.window.split(TILE, TILE):
+            near = [images[k] for k in windows.meeting(tile)]
+            if not near:
+                continue
+            own = self.grid.crop(tile)
+            covers = np.stack([rasterized([(self.outlines[i], 1)], own).ravel() == 1 for i in near])
+            c, r = np.meshgrid(np.arange(tile.width) + 0.5, np.arange(tile.height) + 0.5)
+            xy = own.xy(np.column_stack([c.ravel(), r.ravel()]))
+            yield tile.slices_in(part.window), np.array(near), covers, xy
+
+
+@dataclass(frozen=True, eq=False)
+class LeastCostSeams(SeamMethod):
+    """Seams of least cost, by graph cuts over image differences, raised objects and given lines and areas.
+
+    Attributes
+    ----------
+    photos, outlines, grid
+        See `SeamMethod`.
     colours : tuple of Correction
         Of all images: they are compared as they will be seen.
     weights : SeamWeights
     layers : SeamLayers
     """
 
-    photos: Photos
-    outlines: Sequence[Any]
-    grid: Grid
     colours: tuple[Correction, ...]
     weights: SeamWeights
     layers: SeamLayers
@@ -109,7 +129,7 @@ class LeastCostSeams:
         """Candidate images (ranks, rows, cols) of each cell, the nearest first."""
         found: IntArray = np.full((MAX_CANDIDATES, part.window.height, part.window.width), -1, dtype=np.int32)
         centres = self._centres
-        for place, near, covers, xy in _tiles(self.photos, self.grid, self.outlines, part):
+        for place, near, covers, xy in self.tiles(part):
             ranked = nearest_images(centres[near], xy, covers, self.weights.reach)
             found[:, *place] = np.where(ranked >= 0, near[ranked], -1).reshape(found[:, *place].shape)
         return found
@@ -120,29 +140,23 @@ class LeastCostSeams:
 
 
 @dataclass(frozen=True, eq=False)
-class HalvedSeams:
+class HalvedSeams(SeamMethod):
     """Seams that halve overlaps: a place belongs to the image whose inner edge is farthest away.
 
     Attributes
     ----------
-    photos : Photos
-    outlines : sequence of Polygon or MultiPolygon
-        What each image shows, in the output map.
-    grid : Grid
-        Of the cells, see `seam_grid`.
+    photos, outlines, grid
+        See `SeamMethod`.
     edges : sequence of geometry
         From `voronoi.inner_edges`, one per image.
     """
 
-    photos: Photos
-    outlines: Sequence[Any]
-    grid: Grid
     edges: Sequence[Any]
 
     def labels(self, part: Subdomain, options: RenderOptions) -> IntArray:
         """Image of each cell (rows, cols) of the window of a subdomain."""
         label: IntArray = np.full((part.window.height, part.window.width), -1)
-        for place, near, covers, xy in _tiles(self.photos, self.grid, self.outlines, part):
+        for place, near, covers, xy in self.tiles(part):
             deepest = farthest_inside([self.edges[i] for i in near], xy, covers)
             label[place] = np.where(deepest >= 0, near[deepest], -1).reshape(label[place].shape)
         return label
@@ -283,18 +297,3 @@ def _polygons(label: IntArray, core: Window, grid: Grid) -> list[tuple[Any, int]
     if not whole:
         smooth = shapely.transform(smooth, lambda xy: grid.xy(np.round(grid.colrow(xy))))
     return [(polygon, number) for polygon, (_, number) in zip(smooth, found, strict=True)]
-
-
-def _tiles(photos: Photos, grid: Grid, outlines: Sequence[Any], part: Subdomain) -> Iterator[Any]:
-    """Tiles of a subdomain: rows and columns, images at hand (K,), cells each shows (K, N), cell centres (N, 2)."""
-    images = [i for i in part.images if not outlines[i].is_empty]
-    windows = WindowIndex([grid.window_of(photos.outlines[i].bounds) for i in images])
-    for tile in part.window.split(TILE, TILE):
-        near = [images[k] for k in windows.meeting(tile)]
-        if not near:
-            continue
-        own = grid.crop(tile)
-        covers = np.stack([rasterized([(outlines[i], 1)], own).ravel() == 1 for i in near])
-        c, r = np.meshgrid(np.arange(tile.width) + 0.5, np.arange(tile.height) + 0.5)
-        xy = own.xy(np.column_stack([c.ravel(), r.ravel()]))
-        yield tile.slices_in(part.window), np.array(near), covers, xy
