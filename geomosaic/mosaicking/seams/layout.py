@@ -14,7 +14,7 @@ from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.window_index import WindowIndex
 from geomosaic.mosaicking.colour.corrections import Correction
-from geomosaic.mosaicking.seams.cost import SeamLayers, seam_cost
+from geomosaic.mosaicking.seams.cost import seam_cost
 from geomosaic.mosaicking.seams.graph_cut import minimise, region_graph
 from geomosaic.mosaicking.seams.partition import (
     MIN_ISLAND,
@@ -24,6 +24,7 @@ from geomosaic.mosaicking.seams.partition import (
     without_islands,
     without_spurs,
 )
+from geomosaic.mosaicking.seams.seam_layers import SeamLayers
 from geomosaic.mosaicking.seams.subdomains import (
     LARGEST,
     OUTSIDE,

@@ -1,4 +1,4 @@
-"""Seam polygons of a block: halved overlaps, seams of least cost or drawn ones; the ground each image gets."""
+"""Seam polygons of a block: drawn cutlines, water and computed seams of images of all ranks; valid outlines."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction],
 def _divided(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
     """Seam polygons of images of one rank, by the method of `options.seamlines.seams`."""
     if options.seamlines.seams == "graph-cut":
-        from geomosaic.mosaicking.seams.cost import read_seam_layers
+        from geomosaic.mosaicking.seams.seam_layers import read_seam_layers
 
         layers = read_seam_layers(options.seamlines.follow, options.seamlines.avoid, photos.grid)
         return least_cost_regions(photos, shapes, colours, options.render, options.seamlines.seam_weights, layers)
