@@ -39,7 +39,7 @@ def test_stages_are_what_their_formulas_say(tmp_path: Path) -> None:
     assert found.pixels == pytest.approx(5.6e9)
     match, adjust, mosaic = found.stages
     assert match.processor_seconds == pytest.approx(1000 * 20 * 0.1 + 7000 * 0.5)
-    assert (match.seconds, match.cores) == (pytest.approx(5500.0 / 4), 4)
+    assert (match.seconds, match.cores) == (pytest.approx(5500.0 / 20), 20)
     assert match.memory == pytest.approx(2.4e9)
     assert (adjust.processor_seconds, adjust.memory) == (pytest.approx(100.0), pytest.approx(1.2e9))
     assert mosaic.processor_seconds == pytest.approx(1000 * 20 * 0.02 + 5600 * 0.05)

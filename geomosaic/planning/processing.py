@@ -43,7 +43,7 @@ class ProcessingStage:
         That work at it: those of one machine, or of all workers.
     read_bytes, written_bytes : float
     memory : float
-        Bytes that the machine which works at it holds, or each worker.
+        Bytes that each machine holds at most; in 'match' and 'adjust' the client.
     """
 
     name: str
@@ -129,7 +129,7 @@ def processing_plan(wanted: ProcessingOptions) -> ProcessingPlan:
     if not wanted.oriented:
         cpu = wanted.photos * megapixels * rates["features_s_per_megapixel"] + pairs * rates["match_s_per_pair"]
         memory = (rates["match_mb"] + wanted.photos * rates["match_mb_per_photo"]) * _MEGABYTE
-        stages.append(_stage("match", cpu, 1, wanted, _MATCHED * size, 0.0, memory))
+        stages.append(_stage("match", cpu, wanted.workers, wanted, _MATCHED * size, 0.0, memory))
         memory = (rates["adjust_mb"] + positions * rates["adjust_mb_per_position"]) * _MEGABYTE
         stages.append(_stage("adjust", positions * rates["adjust_s_per_position"], 1, wanted, 0.0, 0.0, memory))
     cpu = wanted.photos * megapixels * rates["input_s_per_megapixel"] + pixels / 1e6 * rates["output_s_per_megapixel"]

@@ -257,7 +257,7 @@ def run_command(as_json: bool, options: dict[str, Any]) -> None:
 
     \b
     Formulas, with rates that were measured (date and machine are printed):
-      match    photos · megapixels · rate + pairs · rate       on one machine
+      match    photos · megapixels · rate + pairs · rate       on all machines
       adjust   image positions · rate                          on one machine
       mosaic   photos · megapixels · rate + output · rate      on all machines
     A stage takes the longest of its processors, its reading and its writing. Rates of your own machine are made by
