@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,10 +20,10 @@ from scipy.ndimage import gaussian_filter
 import geomosaic as gm
 from geomosaic.errors import InputError
 from geomosaic.geo.grid import Grid, Window
-from geomosaic.mosaicking.seams import layout, subdomains
+from geomosaic.mosaicking.seams import cost, layout, subdomains
 from geomosaic.mosaicking.seams.subdomains import FREE, OUTSIDE, RIM, Subdomain, SubdomainSeams, rims_of, seams_in_turns
 from geomosaic.options.render import RenderOptions
-from geomosaic.raster.vector import read_layer
+from geomosaic.raster.vector import Layer, read_layer, write_layers
 
 LEFT, TOP, WIDTH, HEIGHT, RIGHT, DOWN, COLS, ROWS = 500_000.0, 5_500_000.0, 260, 220, 150, 120, 4, 3
 LEAN = 0.12
@@ -142,6 +144,79 @@ def test_too_little_memory_is_told_before_anything_is_laid(block, tmp_path) -> N
     ) as caught:
         gm.mosaic(block, tmp_path / "m.tif", seams="graph-cut", **how)
     assert (caught.value.where, list(tmp_path.iterdir())) == ("`memory_limit`", [])
+
+
+def test_no_seam_cuts_an_area_to_avoid_on_the_corner_of_subdomains(mosaics, tmp_path) -> None:
+    corners = product((178, 355, 533), (115, 230, 345))
+    areas = [shapely.box(LEFT + x - 20, TOP - y - 15, LEFT + x + 20, TOP - y + 15) for x, y in corners]
+    buildings = write_layers(tmp_path / "buildings.gpkg", {"buildings": Layer(CRS("EPSG:32631"), "Polygon", areas, {})})
+    shares = mosaics("graph-cut", threads=1, avoid=[buildings])[0]
+    for area in areas:
+        assert max(share.intersection(area).area for share in shares) == pytest.approx(area.area, rel=1e-9)
+
+
+def test_a_large_image_is_looked_at_in_coarser_cells(block, mosaics, tmp_path, monkeypatch) -> None:
+    """A scene below a thousand photos is not read whole in the photos' cells; seams are as good."""
+    most, seen, read = WIDTH * HEIGHT // 9, list[Window](), cost.thumbnail
+
+    def thumbnail(photo: Any, surface: Any, grid: Grid, window: Window, *how: Any) -> Any:
+        seen.append(window)
+        return read(photo, surface, grid, window, *how)
+
+    monkeypatch.setattr(cost, "MAX_CELLS", most)
+    monkeypatch.setattr(cost, "thumbnail", thumbnail)
+    labels = Mosaics(block, tmp_path)("graph-cut", threads=1)[1]
+    coarse, parts = seen[::2], seen[1::2]
+    assert max(window.width * window.height for window in coarse) <= 1.05 * most
+    assert max(max(window.width, window.height) for window in parts) <= SMALL["SIDE"] + 2 * SMALL["MARGIN"]
+    by_cells = seam_difference(block, mosaics("graph-cut", threads=1)[1])
+    assert seam_difference(block, labels) == pytest.approx(by_cells, rel=0.1)
+
+
+def test_raised_objects_are_the_same_in_all_windows(monkeypatch) -> None:
+    """Houses on hills, cut by the edges of windows."""
+    chance, grid = np.random.default_rng(5), Grid.from_bounds(CRS("EPSG:32633"), (0.0, 0.0, 700.0, 500.0), 1.0)
+    heights = 300.0 * gaussian_filter(chance.normal(size=grid.shape), 30)
+    for row, col in chance.integers(0, (460, 660), (80, 2)):
+        heights[row : row + 30, col : col + 25] += 8.0
+
+    def cells(_: object, own: Grid) -> np.ndarray:
+        col, row = grid.colrow(own.xy(np.zeros((1, 2))))[0].round().astype(int)
+        return heights[row : row + own.height, col : col + own.width]
+
+    monkeypatch.setattr(cost, "_cell_heights", cells)
+    whole = cost._raised_objects_in(None, grid, grid.window)
+    assert 0.1 < (whole > 0.9).mean() < 0.5
+    for window in grid.window.split(150, 140):
+        found = cost._raised_objects_in(None, grid, window)
+        np.testing.assert_allclose(found, whole[window.slices_in(grid.window)], atol=1e-3)
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Seam of two images that crosses the borders of subdomains again and again."""
+
+    grid: Grid
+
+    def labels(self, part: Subdomain, _: RenderOptions) -> np.ndarray:
+        rows, cols = np.indices((part.window.height, part.window.width))
+        rows, cols = rows + part.window.row, cols + part.window.col
+        return (rows > 250 + 60 * np.sin(cols / 15)).astype(int)
+
+
+@pytest.mark.parametrize("turned", [0.0, 17.0])
+def test_shares_have_no_slits_along_subdomains(turned, monkeypatch) -> None:
+    """In grids that are turned the borders of subdomains have no exact coordinates."""
+    for constant, value in SMALL.items():
+        monkeypatch.setattr(subdomains, constant, value)
+    monkeypatch.setattr(layout, "LARGEST", 10_000)
+    place = Affine.translation(LEFT + 0.1, TOP) @ Affine.rotation(turned) @ Affine.scale(0.7, -0.7)
+    grid = Grid(CRS("EPSG:32631"), place, 700, 500)
+    corners = grid.xy(np.array([[3.3, 3.3], [695.1, 3.3], [695.1, 495.1], [3.3, 495.1]]))
+    outlines, photos = [shapely.Polygon(corners)] * 2, SimpleNamespace(centres=[tuple(corners[0]), tuple(corners[2])])
+    shares = layout._laid_out(photos, outlines, Waves(grid), RenderOptions(threads=1))
+    assert [(share.geom_type, len(share.interiors)) for share in shares] == [("Polygon", 0)] * 2
+    assert sum(share.area for share in shares) == pytest.approx(outlines[0].area, rel=1e-9)
 
 
 GRID = Grid.from_bounds(CRS("EPSG:32633"), (0.0, 0.0, 700.0, 500.0), 1.0)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -205,6 +206,11 @@ def raised_objects(heights: AnyArray, cell: float) -> Float32Array:
 
 # Nodes along each side of a footprint between which view angles, which change slowly, are interpolated.
 NODES = 17
+# Cells of an image whose contrast and edge are taken from these cells themselves; larger ones are looked at in coarser
+# cells, so that one scene below a thousand photos is not read whole at the photos' cells.
+MAX_CELLS = 1_000_000
+# Cells beyond a window whose heights tell its raised objects from the ground, at most.
+MAX_SURROUNDINGS = 320
 # View angle in degrees of a full angle term.
 REFERENCE_ANGLE = 45.0
 
@@ -276,7 +282,7 @@ def seam_cost(
         if not neighbours[i]:
             del held[i]
         options.report(done + 1, len(order), "seams")
-    return SeamCost(_with_site_terms(pairwise, photos, grid.crop(part), weights, layers), unary)
+    return SeamCost(_with_site_terms(pairwise, photos, grid, part, weights, layers), unary)
 
 
 def _overlapping_images(candidates: IntArray) -> dict[int, set[int]]:
@@ -299,17 +305,26 @@ def _image_terms(
     photos: Photos, grid: Grid, part: Window, colours: Sequence[Correction], weights: SeamWeights, index: int
 ) -> tuple[Features, FloatArray]:
     """Features of an image where its window meets a part of the grid, and its unary cost (rows, cols) there."""
-    window = grid.window_of(photos.outlines[index].bounds)
+    bounds = photos.outlines[index].bounds
+    window = grid.window_of(bounds)
     own = window.intersection(part)
+    # Contrast and edge are those of the whole image, so that they are the same in each part.
+    factor = math.ceil(math.sqrt(window.width * window.height / MAX_CELLS))
+    coarse = grid.coarser(factor)
     with photos.using(index) as photo:
-        piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+        whole = _features_of(photo, photos, coarse, coarse.window_of(bounds), colours[index])
+        found = _features_of(photo, photos, grid, own, colours[index]) if factor > 1 else whole.cropped(window, own)
         angle = _angles(photo, photos, grid, own) if weights.angle else np.zeros((own.height, own.width))
-    valid = piece.valid > 0
-    values = corrected(colours[index], piece.values, window, grid, photos.grid)
-    # Of the whole image, so that its contrast and edge are the same in each part.
-    edge = edge_proximity(valid)[own.slices_in(window)]
+    rows, cols = np.arange(own.row, own.stop_row) // factor, np.arange(own.col, own.stop_col) // factor
+    edge = edge_proximity(whole.valid)[np.ix_(rows - window.row // factor, cols - window.col // factor)]
     price = weights.angle * np.minimum(angle / REFERENCE_ANGLE, 1) + weights.edge * edge
-    return features(values, valid).cropped(window, own), price
+    return replace(found, contrast=whole.contrast), price
+
+
+def _features_of(photo: Photo, photos: Photos, grid: Grid, window: Window, correction: Correction) -> Features:
+    """Features of an image in a window of a coarse grid."""
+    piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+    return features(corrected(correction, piece.values, window, grid, photos.grid), piece.valid > 0)
 
 
 def _angles(photo: Photo, photos: Photos, grid: Grid, window: Window) -> FloatArray:
@@ -341,7 +356,7 @@ def _add_difference(
 
 
 def _with_site_terms(
-    seam: Float32Array, photos: Photos, grid: Grid, weights: SeamWeights, layers: SeamLayers
+    seam: Float32Array, photos: Photos, grid: Grid, part: Window, weights: SeamWeights, layers: SeamLayers
 ) -> Float32Array:
     """Pairwise cost with all terms that no image decides: length, raised objects, lines to follow, areas to avoid."""
     from scipy.ndimage import maximum_filter
@@ -349,17 +364,25 @@ def _with_site_terms(
     # The worst of the neighbourhood: a seam is resolved to a cell, and pixels next to the difference count too.
     total: AnyArray = maximum_filter(seam, 3) + np.float32(weights.length)
     if weights.heights:
-        metres = float(metres_per_unit(grid.crs, np.array(grid.xy(np.array([[0.0, 0.0]]))[0]))[1]) * grid.resolution[1]
-        total = total + np.float32(weights.heights) * raised_objects(_cell_heights(photos, grid), metres)
+        total = total + np.float32(weights.heights) * _raised_objects_in(photos, grid, part)
     # Lines and areas are widened by a cell, so that none slips between cell centres.
-    cell = grid.resolution[0]
-    near = layers.near(grid.bounds, 2 * cell)
+    own, cell = grid.crop(part), grid.resolution[0]
+    near = layers.near(own.bounds, 2 * cell)
     if near.follow:
-        along = rasterized([(shape.buffer(cell), 1) for shape in near.follow], grid) == 1
+        along = rasterized([(shape.buffer(cell), 1) for shape in near.follow], own) == 1
         total[along] *= np.float32(weights.follow)
     if near.avoid:
-        total[rasterized([(shape.buffer(cell), 1) for shape in near.avoid], grid) == 1] += np.float32(weights.avoid)
+        total[rasterized([(shape.buffer(cell), 1) for shape in near.avoid], own) == 1] += np.float32(weights.avoid)
     return np.asarray(total, dtype=np.float32)
+
+
+def _raised_objects_in(photos: Photos, grid: Grid, part: Window) -> Float32Array:
+    """Raised objects (rows, cols) in a window of a grid, told from the ground around it: the same in all windows."""
+    corner = grid.xy(np.zeros((1, 2)))[0]
+    metres = float(metres_per_unit(grid.crs, corner)[1]) * grid.resolution[1]
+    by = min(math.ceil(max(OPENING_WINDOWS) / metres) + 2, MAX_SURROUNDINGS)
+    wide = Window(part.col - by, part.row - by, part.width + 2 * by, part.height + 2 * by).intersection(grid.window)
+    return raised_objects(_cell_heights(photos, grid.crop(wide)), metres)[part.slices_in(wide)]
 
 
 def _cell_heights(photos: Photos, grid: Grid) -> Float32Array:

@@ -243,7 +243,7 @@ def _laid_out(photos: Photos, outlines: Sequence[Any], method: SeamMethod, optio
         whole = Subdomain(grid.window, grid.window, tuple(range(len(photos))))
         found: Any = _seams_of(method, whole, options).polygons
     else:
-        windows = [grid.window_of(outline.bounds) for outline in photos.outlines]
+        windows = [Window(0, 0, 0, 0) if shape.is_empty else grid.window_of(shape.bounds) for shape in outlines]
         alone = replace(options, threads=1, workers=None, progress=None)
         unit = _SubdomainUnit(method, alone, MemoryBudget(options.spare_memory))
         found = seams_in_turns(grid, windows, unit, options)
@@ -252,7 +252,8 @@ def _laid_out(photos: Photos, outlines: Sequence[Any], method: SeamMethod, optio
         of_image.setdefault(number, []).append(polygon)
     shares = [shapely.Polygon() for _ in outlines]
     for number, own in of_image.items():
-        shares[number] = polygonal(shapely.union_all(own))
+        # Joined in cells: there the edges of cores are whole numbers, and nothing gapes in grids that are turned.
+        shares[number] = polygonal(shapely.transform(shapely.union_all(own), grid.xy))
     # Ground that no cell covers: cells are coarse, and footprints are not made of them.
     rest, cell = voronoi_regions(list(outlines), photos.centres), grid.resolution[0]
     return partition(shares, outlines, rest, cell, MIN_ISLAND * cell**2)
@@ -284,7 +285,7 @@ def _seams_of(method: SeamMethod, part: Subdomain, options: RenderOptions) -> Su
 
 
 def _polygons(label: IntArray, core: Window, grid: Grid) -> list[tuple[Any, int]]:
-    """Polygons in the output map of the labelled cells (rows, cols) of a core, each with its image."""
+    """Polygons, in cells, of the labelled cells (rows, cols) of a core, each with its image."""
     import shapely
 
     found, whole = polygons_of_labels(label, grid.crop(core)), core == grid.window
@@ -295,6 +296,5 @@ def _polygons(label: IntArray, core: Window, grid: Grid) -> list[tuple[Any, int]
         SMOOTHING * grid.resolution[0],
         simplify_boundary=whole,
     )
-    if not whole:
-        smooth = shapely.transform(smooth, lambda xy: grid.xy(np.round(grid.colrow(xy))))
+    smooth = shapely.transform(smooth, lambda xy: np.round(grid.colrow(xy)))
     return [(polygon, number) for polygon, (_, number) in zip(smooth, found, strict=True)]

@@ -79,7 +79,7 @@ class SubdomainSeams:
     Attributes
     ----------
     polygons : list of (Polygon, int)
-        Polygons in the output map, and the number of the image of each.
+        Polygons in cells of the grid, and the number of the image of each.
     rims : list of (Window, int array (rows, cols))
         Labels of the cells along the edges of its core.
     """
@@ -120,7 +120,7 @@ def seams_in_turns(
     grid : Grid
         Of the seams' cells.
     windows : sequence of Window
-        Cells of each image's footprint.
+        Cells of what each image shows; empty for images that are left out.
     function : callable
         Seams of a subdomain.
     options : RenderOptions
@@ -129,7 +129,7 @@ def seams_in_turns(
     Yields
     ------
     polygon, number
-        In the output map, and its image. Ground of a core that at most one image shows is left out.
+        In cells of the grid, and its image. Ground of a core that at most one image shows is left out.
     """
     index, cores = WindowIndex(windows), _cores(grid)
     shared = {place: core for place, core in cores.items() if len(index.meeting(core)) > 1}
