@@ -25,7 +25,7 @@ from geomosaic.types import IntArray
 
 # Side in cells of a core, and of what is looked at beyond it where nothing is decided: about half a footprint.
 SIDE, MARGIN = 1024, 192
-# Cells that are looked at beyond a core whose neighbour is decided: raised objects are judged by their surroundings.
+# Cells that are looked at beyond a core whose neighbour is decided: smoothing reaches no farther.
 CONTEXT = 64
 # Cells along a core that its neighbours are told: seams cost what they part, a cell to both sides, and spurs are short.
 RIM = 4
