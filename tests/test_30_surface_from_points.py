@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pyproj import CRS
+from scipy.spatial import Delaunay
+from worker_rig import cluster
 
 from geomosaic.errors import SolveError
+from geomosaic.execution.units import unit_map, workers_for
 from geomosaic.geo.crs import with_heights
+from geomosaic.geo.grid import Grid
+from geomosaic.options.render import RunningOptions
 from geomosaic.surface.from_points import PointSurface, ScatteredPoints, grid_of_points, surface_from_points
+from geomosaic.surface.triangulation import Triangulation
 
 MAP = with_heights(CRS.from_epsg(32633), "egm96")
 ORIGIN = np.array([400_000.0, 5_500_000.0])
@@ -120,3 +128,47 @@ def test_many_points_in_few_clumps_are_few_points():
     surface = made(points)
     assert surface.plane
     assert np.isfinite(surface.sigma).all()
+
+
+def test_places_are_found_in_the_triangles_that_have_them():
+    random = np.random.default_rng(5)
+    # Clumps, a lattice whose circles have four points each, a point twice, and places on points, edges and far off.
+    lattice = np.stack(np.meshgrid(np.arange(12.0), np.arange(9.0)), axis=-1).reshape(-1, 2)
+    points = np.concatenate([lattice, 4.0 + 1e-3 * random.normal(size=(40, 2)), lattice[:1]])
+    made = Triangulation.of(points)
+    places = np.concatenate(
+        [random.uniform(-2.0, 13.0, (4000, 2)), points, lattice + np.array([0.5, 0.0]), lattice + 0.5]
+    )
+    found, weight = made.locate(places)
+    true = Delaunay(points).find_simplex(places)
+    assert np.array_equal(found < 0, true < 0)
+    within = found >= 0
+    back = (weight[within, :, None] * points[made.corners[found[within]]]).sum(axis=1)
+    assert np.abs(back - places[within]).max() < 1e-12
+    assert weight.min() > -1e-12
+
+
+def same_bytes(ground, *everything: dict) -> None:
+    points = measured(ground, 3000, 0.2)
+    low, high = ORIGIN - 50.0, ORIGIN + np.array([WIDE + 50.0, TALL + 50.0])
+    grid = Grid.from_bounds(MAP, (*low, *high), 2.2)  # four units of nodes
+    expected = surface_from_points(points, grid)
+    for options in everything:
+        running = RunningOptions(**options)
+        with workers_for(running):
+            found = surface_from_points(points, grid, unit_map(running))
+        for name in ("heights", "sigma", "kept", "beyond"):
+            assert getattr(found, name).tobytes() == getattr(expected, name).tobytes(), (options, name)
+        assert found.residual == expected.residual
+
+
+@pytest.mark.parametrize("ground", [hills, tilted])
+def test_threads_make_the_same_bytes(ground):
+    same_bytes(ground, {"threads": 1}, {"threads": 2})
+
+
+@pytest.mark.ci
+def test_processes_and_a_cluster_make_the_same_bytes(tmp_path: Path):
+    with cluster(tmp_path) as (client, _):
+        for ground in (hills, tilted):
+            same_bytes(ground, {"workers": 2}, {"workers": client})

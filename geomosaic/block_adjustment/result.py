@@ -22,6 +22,7 @@ from geomosaic.block_adjustment.tie_point_surface import TiePointSurface, surfac
 from geomosaic.estimation.expected_errors import ExpectedErrors, expected_text
 from geomosaic.inputs.adjusted import exterior_lines, exterior_of, motion_of
 from geomosaic.interchange.reconstruction import Reconstruction
+from geomosaic.options.render import RunningOptions
 from geomosaic.orientation.block.blunder_causes import BlockBlunder, blunders
 from geomosaic.orientation.block.facts import block_facts
 from geomosaic.orientation.block.solution import BlockSolution
@@ -66,6 +67,8 @@ class AdjustedBlock:
         Camera parameters that were held though they were to be found, in words.
     set_free : tuple of str
         Camera parameters that self-calibration has set free, in words.
+    running : RunningOptions
+        Threads or workers that make the ground of the adjusted points.
     """
 
     scenes: tuple[OrientedImage, ...]
@@ -78,6 +81,7 @@ class AdjustedBlock:
     set_aside: Mapping[str, str] = field(default_factory=dict)
     held: tuple[str, ...] = ()
     set_free: tuple[str, ...] = ()
+    running: RunningOptions = field(default_factory=RunningOptions)
 
     @classmethod
     def of(
@@ -202,7 +206,7 @@ class AdjustedBlock:
     @cached_property
     def tie_point_surface(self) -> TiePointSurface:
         """Surface through the adjusted points."""
-        return TiePointSurface.of(self.solution, self.scenes, self.start.ground)
+        return TiePointSurface.of(self.solution, self.scenes, self.start.ground, self.running)
 
     def surface(self) -> Dem:
         """Ground of the adjusted points, in the vertical datum of the positions; its `sigma` says how good it is.

@@ -178,8 +178,9 @@ def adjust_parts(parts: Sequence[Block], options: AdjustmentOptions, progress: P
     solved = AdjustedBlock.of(start, measured, own, solution, options.exports)
     held = tuple(each.text for each in conflicts if each.rms is not None)
     solved = replace(
-        solved, nowhere=nowhere, set_aside=images.aside, held=held, set_free=() if free is None else (free.text,)
-    )
+        solved, nowhere=nowhere, set_aside=images.aside, held=held, set_free=() if free is None else (free.text,),
+        running=options,
+    )  # fmt: skip
     offset = solved.height_offset
     if offset is not None and offset.significant and options.dem_sigma is None:  # observed, it is told already
         warn(offset.text)

@@ -12,15 +12,17 @@ from pyproj import CRS
 
 from geomosaic.block import OrientedImage
 from geomosaic.errors import SolveError, counted
+from geomosaic.execution.units import unit_map, workers_for
 from geomosaic.geo.crs import height_name, horizontal, is_local
 from geomosaic.geo.grid import Bounds, Grid
+from geomosaic.options.render import RunningOptions
 from geomosaic.orientation.block.solution import BlockSolution
 from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.sink import RasterSink
 from geomosaic.sensor.solve import image_to_height
 from geomosaic.surface.dem import Dem
 from geomosaic.surface.from_points import PointSurface, ScatteredPoints, grid_of_points, surface_from_points
-from geomosaic.types import FloatArray
+from geomosaic.types import Float32Array, FloatArray
 
 # Points along each side of an image that say how far it reaches.
 SIDE = 9
@@ -44,7 +46,9 @@ class TiePointSurface:
     points: int
 
     @classmethod
-    def of(cls, solution: BlockSolution, scenes: Sequence[OrientedImage], ground: CRS) -> TiePointSurface:
+    def of(
+        cls, solution: BlockSolution, scenes: Sequence[OrientedImage], ground: CRS, running: RunningOptions
+    ) -> TiePointSurface:
         """Surface over all that the images show.
 
         Parameters
@@ -54,6 +58,7 @@ class TiePointSurface:
             With adjusted models.
         ground : CRS
             3-D CRS of the points.
+        running : RunningOptions
 
         Raises
         ------
@@ -74,7 +79,8 @@ class TiePointSurface:
         total = np.nan_to_num(solution.point_covariance[known])
         points = ScatteredPoints(xyz, own, np.where(np.isfinite(total), total - own, 0.0))
         grid = grid_of_points(xyz[:, :2], _reach(xyz, scenes, ground), ground)
-        return cls(surface_from_points(points, grid), len(xyz))
+        with workers_for(running):
+            return cls(surface_from_points(points, grid, unit_map(running)), len(xyz))
 
     @property
     def dem(self) -> Dem:
@@ -158,10 +164,10 @@ def _reach(xyz: FloatArray, scenes: Sequence[OrientedImage], ground: CRS) -> Bou
     return left, bottom, right, top
 
 
-def _write(path: Path, values: FloatArray, grid: Grid, words: str) -> None:
+def _write(path: Path, values: Float32Array, grid: Grid, words: str) -> None:
     samples = Samples(1, "float32", nodata=float("nan"))
     metadata = RasterMetadata((words,), ((1.0, 0.0, "m"),))
     with RasterSink(path, grid, samples, overwrite=True, metadata=metadata) as sink:
         whole = grid.window
-        sink.write(whole, values[..., None].astype(np.float32), np.ones(values.shape, dtype=np.uint8), blank=False)
+        sink.write(whole, values[..., None], np.ones(values.shape, dtype=np.uint8), blank=False)
         sink.finish()

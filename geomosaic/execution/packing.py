@@ -40,6 +40,8 @@ def versions() -> dict[str, str]:
     """
     import numpy
     import pyproj
+    import scipy
+    import shapely
 
     import geomosaic
 
@@ -48,6 +50,8 @@ def versions() -> dict[str, str]:
         "kernels": library().sources().decode()[:12],
         "source": source_digest("geomosaic.mosaicking.mosaic", "geomosaic.render.ortho")[:12],
         "NumPy": numpy.__version__,
+        "SciPy": scipy.__version__,
+        "GEOS": shapely.geos_version_string,
         "PROJ": pyproj.__proj_version__,
         "GDAL": gdal_version(),
         "Python": ".".join(platform.python_version_tuple()[:2]),

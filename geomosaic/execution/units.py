@@ -7,16 +7,14 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from geomosaic.options.render import RunningOptions
 from geomosaic.raster.environment import enter_for_good, environment
+from geomosaic.types import Item, Map, Result
 
 if TYPE_CHECKING:
     from geomosaic.execution.run_report import RunReport
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 def map_units(
@@ -53,6 +51,20 @@ def map_units(
     from geomosaic.execution.units_on_workers import units_on_workers
 
     yield from units_on_workers(function, items, options, ahead)
+
+
+def unit_map(options: RunningOptions) -> Map:
+    """Form of `map` that computes where the options say, for what lies below units of work.
+
+    Parameters
+    ----------
+    options : RunningOptions
+    """
+
+    def each(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        return (result for _, result in map_units(function, items, options))
+
+    return each
 
 
 @contextmanager

@@ -121,7 +121,7 @@ def job_of(project: Project, machine: Machine | None = None) -> Job:
     steps += [
         Step(
             "orient",
-            partial(orient, project),
+            partial(orient, project, machine),
             orientation,
             (*images, *tables, *measured, *ground),
             oriented,

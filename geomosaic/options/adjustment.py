@@ -11,6 +11,7 @@ from typing import Any
 from geomosaic.errors import InputError
 from geomosaic.options.check import SelfContainedOptions, finite_numbers
 from geomosaic.options.declaration import option
+from geomosaic.options.render import RunningOptions
 
 
 def _parse_free(value: Any) -> Mapping[str, float]:
@@ -45,7 +46,7 @@ def _parse_vector(value: Any) -> tuple[float, ...]:
 
 # Projects and the library have these options, and no command a flag for them.
 @dataclass(frozen=True)
-class AdjustmentOptions(SelfContainedOptions, group="input", section="adjust", flag=None):
+class AdjustmentOptions(SelfContainedOptions, RunningOptions, group="input", section="adjust", flag=None):
     """Options of `adjust`.
 
     Attributes
@@ -85,6 +86,8 @@ class AdjustmentOptions(SelfContainedOptions, group="input", section="adjust", f
         Whether blunders are left out.
     exports : tuple of str
         Programs whose files are written, too.
+    threads, memory_limit, workers
+        See `RunningOptions`; they make the ground of the tie points.
     """
 
     ties: Path | Any | None = option(

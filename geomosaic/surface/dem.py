@@ -24,7 +24,7 @@ from geomosaic.raster.source import Source
 from geomosaic.stores.path import given_path
 from geomosaic.surface.dem_nodes import BLOCK, ArraySource, Nodes
 from geomosaic.surface.model import HeightPatch, Surface, undeclared_heights
-from geomosaic.types import FloatArray, PathLike
+from geomosaic.types import Float32Array, FloatArray, PathLike
 
 _UNITS = {
     "m": 1.0,
@@ -165,7 +165,9 @@ class Dem:
         )
 
     @classmethod
-    def from_array(cls, heights: FloatArray, grid: Grid, datum: str | None = None, sigma: Surface | None = None) -> Dem:
+    def from_array(
+        cls, heights: FloatArray | Float32Array, grid: Grid, datum: str | None = None, sigma: Surface | None = None
+    ) -> Dem:
         """DEM of heights in memory.
 
         Parameters

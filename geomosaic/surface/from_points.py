@@ -13,7 +13,7 @@ from geomosaic.estimation.statistics import MAD_TO_SIGMA
 from geomosaic.geo.grid import Bounds, Grid
 from geomosaic.surface.ground_roughness import Roughness
 from geomosaic.surface.triangles import Plane, Samples, TriangulatedSurface
-from geomosaic.types import BoolArray, FloatArray, IntArray
+from geomosaic.types import BoolArray, Float32Array, FloatArray, IntArray, Map
 
 # Neighbours whose plane a point is held against.
 NEIGHBOURS = 12
@@ -27,6 +27,7 @@ LEAST = 12
 # Cells between two neighbouring points; and nodes of a surface at most: 4 million nodes are 32 MB, and no tie points
 # tell more.
 CELLS, MOST = 2.0, 4_000_000
+# Nodes, or neighbours of points, of one unit of work.
 CHUNK = 1 << 16
 
 
@@ -61,7 +62,7 @@ class PointSurface:
     ----------
     grid : Grid
         Its nodes are the pixel centres.
-    heights, sigma : array (rows, cols)
+    heights, sigma : float32 array (rows, cols)
         Heights and their standard deviations, metres.
     kept : bool array (N,)
         Points that are in it.
@@ -74,15 +75,15 @@ class PointSurface:
     """
 
     grid: Grid
-    heights: FloatArray
-    sigma: FloatArray
+    heights: Float32Array
+    sigma: Float32Array
     kept: BoolArray
     beyond: BoolArray
     plane: bool
     residual: float
 
 
-def surface_from_points(points: ScatteredPoints, grid: Grid) -> PointSurface:
+def surface_from_points(points: ScatteredPoints, grid: Grid, each: Map = map) -> PointSurface:
     """Surface through scattered points, with its standard deviation.
 
     Parameters
@@ -90,6 +91,8 @@ def surface_from_points(points: ScatteredPoints, grid: Grid) -> PointSurface:
     points : ScatteredPoints
     grid : Grid
         See `grid_of_points`.
+    each : callable
+        Calls a function of units of work, such as rows of nodes.
 
     Returns
     -------
@@ -104,28 +107,39 @@ def surface_from_points(points: ScatteredPoints, grid: Grid) -> PointSurface:
     middle = points.xyz.mean(axis=0) if len(points.xyz) else np.zeros(3)
     # Triangles of map coordinates of seven digits would be rounded.
     local = ScatteredPoints(points.xyz - middle, points.own, points.shared)
-    kept, slope = _without_blunders(local)
+    kept, slope = _without_blunders(local, each)
     good = local.part(kept)
     samples = Samples.of(good.xyz, good.own, good.shared, slope[kept])
-    nodes = grid.xy(np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in grid.shape[::-1])), axis=-1).reshape(-1, 2))
-    nodes -= middle[:2]
     plane, thinned = Plane.through(samples), samples.thinned(min(grid.resolution))
-    if plane.explains or len(thinned.xy) < LEAST:
-        height, variance = plane.at(nodes)
-        beyond = np.zeros(len(nodes), dtype=bool)
-        residual, flat = plane.rms, True
-    else:
-        sheet = TriangulatedSurface.of(thinned, plane)
-        law = Roughness.of(sheet)
-        height, variance, beyond = np.empty(len(nodes)), np.empty(len(nodes)), np.zeros(len(nodes), dtype=bool)
-        for start in range(0, len(nodes), CHUNK):
-            part = slice(start, start + CHUNK)
-            at = sheet.weights(nodes[part])
-            height[part], variance[part], beyond[part] = at.height, law.variance(at), at.gap > 0.0
-        residual, flat = law.residual, False
-    shape = grid.shape
-    sigma = np.sqrt(variance).reshape(shape)
-    return PointSurface(grid, (height + middle[2]).reshape(shape), sigma, kept, beyond.reshape(shape), flat, residual)
+    flat = plane.explains or len(thinned.xy) < LEAST
+    law = None if flat else Roughness.of(TriangulatedSurface.of(thinned, plane), each)
+    nodes = _Nodes(grid, middle, plane if law is None else law)
+    heights, sigma = np.empty(grid.shape, dtype=np.float32), np.empty(grid.shape, dtype=np.float32)
+    beyond = np.zeros(grid.shape, dtype=bool)
+    step = max(1, CHUNK // grid.width)
+    units = [(first, min(first + step, grid.height)) for first in range(0, grid.height, step)]
+    for (first, last), found in zip(units, each(nodes, units), strict=True):
+        heights[first:last], sigma[first:last], beyond[first:last] = found
+    return PointSurface(grid, heights, sigma, kept, beyond, flat, plane.rms if law is None else law.residual)
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes:
+    """Heights of nodes, their standard deviations, and whether they lie beyond the outermost points, by rows."""
+
+    grid: Grid
+    middle: FloatArray
+    surface: Plane | Roughness
+
+    def __call__(self, rows: tuple[int, int]) -> tuple[Float32Array, Float32Array, BoolArray]:
+        first, last = rows
+        col, row = np.meshgrid(np.arange(self.grid.width) + 0.5, np.arange(first, last) + 0.5)
+        height, variance, beyond = self.surface.at(
+            self.grid.xy(np.column_stack([col.ravel(), row.ravel()])) - self.middle[:2]
+        )
+        shape = col.shape
+        high, sigma = (height + self.middle[2]).astype(np.float32), np.sqrt(variance).astype(np.float32)
+        return high.reshape(shape), sigma.reshape(shape), beyond.reshape(shape)
 
 
 def grid_of_points(points: FloatArray, bounds: Bounds, crs: CRS) -> Grid:
@@ -146,7 +160,7 @@ def grid_of_points(points: FloatArray, bounds: Bounds, crs: CRS) -> Grid:
     return Grid.from_bounds(crs, bounds, float(cell))
 
 
-def _without_blunders(points: ScatteredPoints) -> tuple[BoolArray, FloatArray]:
+def _without_blunders(points: ScatteredPoints, each: Map) -> tuple[BoolArray, FloatArray]:
     """Points (N,) that lie on the ground as their neighbours show it, and the slope (N, 2) of that.
 
     Not kept are those known much worse than their neighbours, and those that depart from the plane of these and have no
@@ -156,19 +170,32 @@ def _without_blunders(points: ScatteredPoints) -> tuple[BoolArray, FloatArray]:
     kept, slope = np.ones(count, dtype=bool), np.zeros((count, 2))
     if count <= NEIGHBOURS:
         return kept, slope
-    _, near = cKDTree(xyz[:, :2]).query(xyz[:, :2], NEIGHBOURS + 1)
-    own = points.own[:, 2, 2]
-    for start in range(0, count, CHUNK // NEIGHBOURS):
-        rows = np.arange(start, min(count, start + CHUNK // NEIGHBOURS))
-        others = near[rows, 1:]
-        away = xyz[others] - xyz[rows, None]
-        level, slope[rows], scale = _robust_planes(away)
-        off = away[..., 2] - np.einsum("nkj,nj->nk", away[..., :2], slope[rows])
-        beside = (np.abs(off) < 0.5 * np.abs(level)[:, None]).sum(axis=1)
-        wrong = np.abs(level) > DISAGREES * np.sqrt(own[rows] + scale**2)
-        vague = own[rows] > VAGUE**2 * np.median(own[others], axis=1)
-        kept[rows] = ~vague & (~wrong | (beside > 1))
+    step = CHUNK // NEIGHBOURS
+    units = [(first, min(first + step, count)) for first in range(0, count, step)]
+    judged = _Judged(xyz, points.own[:, 2, 2].copy(), cKDTree(xyz[:, :2]))
+    for (first, last), found in zip(units, each(judged, units), strict=True):
+        kept[first:last], slope[first:last] = found
     return kept, np.clip(slope, -3.0, 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """Whether points lie on the ground as their neighbours show it, and the slope of that, by rows."""
+
+    xyz: FloatArray
+    own: FloatArray
+    tree: cKDTree
+
+    def __call__(self, rows: tuple[int, int]) -> tuple[BoolArray, FloatArray]:
+        mine = slice(*rows)
+        others = self.tree.query(self.xyz[mine, :2], NEIGHBOURS + 1)[1][:, 1:]
+        away = self.xyz[others] - self.xyz[mine, None]
+        level, slope, scale = _robust_planes(away)
+        off = away[..., 2] - np.einsum("nkj,nj->nk", away[..., :2], slope)
+        beside = (np.abs(off) < 0.5 * np.abs(level)[:, None]).sum(axis=1)
+        wrong = np.abs(level) > DISAGREES * np.sqrt(self.own[mine] + scale**2)
+        vague = self.own[mine] > VAGUE**2 * np.median(self.own[others], axis=1)
+        return ~vague & (~wrong | (beside > 1)), slope
 
 
 def _robust_planes(away: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geomosaic.surface.triangles import Interpolation, Plane, Samples, TriangulatedSurface
-from geomosaic.types import FloatArray, IntArray
+from geomosaic.types import BoolArray, FloatArray, IntArray, Map
 
 # Parts of the points that are left out in turn, and directions from which the rim is cut.
 FOLDS, SIDES = 5, 8
@@ -39,6 +39,7 @@ class Roughness:
 
     Attributes
     ----------
+    sheet : TriangulatedSurface
     exponent, level : float
         H and c of the head of this file.
     local : array (N,)
@@ -49,6 +50,7 @@ class Roughness:
         RMS of what left out samples are missed by.
     """
 
+    sheet: TriangulatedSurface
     exponent: float
     level: float
     local: FloatArray
@@ -56,15 +58,15 @@ class Roughness:
     residual: float
 
     @classmethod
-    def of(cls, sheet: TriangulatedSurface) -> Roughness:
-        """Law under which samples that are left out in turn are met."""
+    def of(cls, sheet: TriangulatedSurface, each: Map) -> Roughness:
+        """Law under which samples that are left out in turn are met; `each` calls a function of units of work."""
         samples, random = sheet.samples, np.random.default_rng(0)
         order = random.permutation(len(samples.z))
         # All of them where that is quick; two parts of many tell as much.
         few = len(order) <= LARGE
         held = np.array_split(order, FOLDS) if few else [order[: LARGE // 4], order[LARGE // 4 : LARGE // 2]]
-        found = [_left_out(samples, rows) for rows in held if len(rows)]
-        rows, at = np.concatenate([each[0] for each in found]), Interpolation.joined([each[1] for each in found])
+        held = [rows for rows in held if len(rows)]
+        rows, at = np.concatenate(held), Interpolation.joined(list(each(_LeftOut(samples), held)))
         within = at.gap == 0.0
         rows, at = rows[within], at.part(within)
         off = samples.z[rows] - at.height
@@ -82,18 +84,19 @@ class Roughness:
         around = _shrunk(square[near])
         factor = _calibrated(off, noise, around * shape)
         local = _shrunk(square[tree.query(samples.xy, count + 1)[1]])
-        law = cls(exponent, factor * level, local, (1.0, 0.0), float(np.sqrt((off**2).mean())))
-        return law._with_rim(samples)
+        law = cls(sheet, exponent, factor * level, local, (1.0, 0.0), float(np.sqrt((off**2).mean())))
+        return law._with_rim(each)
 
-    def _with_rim(self, samples: Samples) -> Roughness:
+    def _with_rim(self, each: Map) -> Roughness:
         """Law with that beyond the rim, from samples cut off at each side in turn."""
         found, random = [], np.random.default_rng(0)
-        rows = random.permutation(len(samples.z))[:LARGE]
-        law, samples = replace(self, local=self.local[rows]), samples.part(rows)
-        for side in range(SIDES):
-            angle = 2.0 * np.pi * side / SIDES
-            ahead = samples.xy @ np.array([np.cos(angle), np.sin(angle)])
-            rows, at = _left_out(samples, np.flatnonzero(ahead > np.quantile(ahead, 0.85)))
+        rows = random.permutation(len(self.local))[:LARGE]
+        law, samples = replace(self, local=self.local[rows]), self.sheet.samples.part(rows)
+        sides = []
+        for angle in 2.0 * np.pi * np.arange(SIDES) / SIDES:
+            ahead = samples.xy[:, 0] * np.cos(angle) + samples.xy[:, 1] * np.sin(angle)
+            sides.append(np.flatnonzero(ahead > np.quantile(ahead, 0.85)))
+        for rows, at in zip(sides, each(_LeftOut(samples), sides), strict=True):
             at, rows = at.part(at.gap > 0.0), rows[at.gap > 0.0]
             found.append((at.gap, (samples.z[rows] - at.height) ** 2, law._within(at) + samples.own[rows]))
         gap, square, noise = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -104,22 +107,27 @@ class Roughness:
         level *= _calibrated(np.sqrt(square), noise, level * gap ** (2.0 * exponents[best]))
         return replace(self, rim=(float(exponents[best]), level))
 
-    def variance(self, at: Interpolation) -> FloatArray:
-        """Variance (N,) of interpolated heights."""
-        exponent, level = self.rim
-        return self._within(at) + level * at.gap ** (2.0 * exponent)
+    def at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Heights (N,) at places (N, 2), their variances, and whether the places lie beyond the samples."""
+        at, (exponent, level) = self.sheet.weights(xy), self.rim
+        return at.height, self._within(at) + level * at.gap ** (2.0 * exponent), at.gap > 0.0
 
     def _within(self, at: Interpolation) -> FloatArray:
         local: FloatArray = (np.abs(at.weight) * self.local[at.index]).sum(axis=1)
         return at.noise + self.level * local * at.shape(self.exponent)
 
 
-def _left_out(samples: Samples, rows: IntArray) -> tuple[IntArray, Interpolation]:
-    """Samples that are left out, and their places as the others tell them."""
-    rest = np.setdiff1d(np.arange(len(samples.z)), rows)
-    others = samples.part(rest)
-    at = TriangulatedSurface.of(others, Plane.through(others)).weights(samples.xy[rows])
-    return rows, replace(at, index=rest[at.index])
+@dataclass(frozen=True, eq=False)
+class _LeftOut:
+    """Places of samples that are left out as the others tell them, by rows."""
+
+    samples: Samples
+
+    def __call__(self, rows: IntArray) -> Interpolation:
+        rest = np.setdiff1d(np.arange(len(self.samples.z)), rows)
+        others = self.samples.part(rest)
+        at = TriangulatedSurface.of(others, Plane.through(others)).weights(self.samples.xy[rows])
+        return replace(at, index=rest[at.index])
 
 
 def _shrunk(squares: FloatArray) -> FloatArray:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import shapely
-from scipy.spatial import ConvexHull, Delaunay, QhullError
+from scipy.spatial import ConvexHull, QhullError
 
 from geomosaic.errors import SolveError
+from geomosaic.surface.triangulation import Triangulation
 from geomosaic.types import BoolArray, FloatArray, IntArray
 
 # Height of a triangle at the rim, as a share of its edge there, below which it is left out: it spans what no point saw
@@ -87,9 +88,11 @@ class Plane:
         freedom, apart, explains = max(len(samples.z) - 3, 1), 0.0, True
         for _ in range(10):
             weight = 1.0 / np.maximum(samples.own + apart, 1e-12)
-            covariance = np.asarray(np.linalg.inv((design * weight[:, None]).T @ design), dtype=np.float64)
-            values: FloatArray = covariance @ (design.T @ (weight * samples.z))
-            off = samples.z - design @ values
+            # Not by matrix products, whose last bits depend on the threads that the library of these has.
+            normal = np.einsum("ni,n,nj->ij", design, weight, design)
+            covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+            values: FloatArray = covariance @ np.einsum("ni,n->i", design, weight * samples.z)
+            off = samples.z - np.einsum("ni,i->n", design, values)
             if not apart and (weight * off**2).sum() / freedom <= 1.0 + 3.0 * np.sqrt(2.0 / freedom):
                 break
             explains, before = False, apart
@@ -99,11 +102,15 @@ class Plane:
         rms = float(np.sqrt((off**2).mean()))
         return cls(values, covariance, explains, rms, apart, float(np.median(samples.shared)))
 
-    def at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Heights (N,) at places (N, 2), and their variances."""
+    def at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Heights (N,) at places (N, 2), their variances, and whether the places lie beyond the samples: not told."""
         design = np.column_stack([np.ones(len(xy)), xy])
         spread = np.einsum("ni,ij,nj->n", design, self.covariance, design)
-        return design @ self.values, spread + self.apart + self.shared
+        return (
+            np.einsum("ni,i->n", design, self.values),
+            spread + self.apart + self.shared,
+            np.zeros(len(xy), dtype=bool),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +164,7 @@ class TriangulatedSurface:
     """Triangles between samples, and the trend that goes on beyond them."""
 
     samples: Samples
-    triangles: Delaunay
+    triangles: Triangulation
     kept: BoolArray
     rim: IntArray
     slope: FloatArray
@@ -166,7 +173,7 @@ class TriangulatedSurface:
     def of(cls, samples: Samples, plane: Plane) -> TriangulatedSurface:
         """Delaunay triangles of samples."""
         try:
-            triangles, rim = Delaunay(samples.xy), ConvexHull(samples.xy).vertices
+            triangles, rim = Triangulation.of(samples.xy), ConvexHull(samples.xy).vertices
         except QhullError as error:
             what = "the tie points lie on one line"
             raise SolveError(what, hint="give a DEM, or one height of the ground") from error
@@ -175,13 +182,9 @@ class TriangulatedSurface:
 
     def weights(self, xy: FloatArray) -> Interpolation:
         """Triangles and weights of places (N, 2)."""
-        samples, found = self.samples, self.triangles.find_simplex(xy)
+        samples, (found, weight) = self.samples, self.triangles.locate(xy)
         inside = (found >= 0) & self.kept[found]
-        index, weight = np.zeros((len(xy), 3), dtype=np.int64), np.zeros((len(xy), 3))
-        index[inside] = self.triangles.simplices[found[inside]]
-        affine = self.triangles.transform[found[inside]]
-        two = np.einsum("nij,nj->ni", affine[:, :2], xy[inside] - affine[:, 2])
-        weight[inside] = np.column_stack([two, 1.0 - two.sum(axis=1)])
+        index = self.triangles.corners[found]
         foot = xy.copy()
         if not inside.all():
             foot[~inside], index[~inside], weight[~inside] = self._on_rim(xy[~inside])
@@ -199,36 +202,42 @@ class TriangulatedSurface:
         if not len(xy):
             return np.zeros(0)
         # What the nearest place of the rim alone says tears the surface where another becomes the nearest.
-        ring = self.samples.xy[np.append(self.rim, self.rim[0])]
-        line = shapely.linestrings(ring)
-        places = shapely.get_coordinates(shapely.line_interpolate_point(line, np.arange(RIM) / RIM, normalized=True))
-        _, index, weight = self._on_rim(places)
-        above = (weight * self.samples.z[index]).sum(axis=1) - places @ self.slope
-        near = 1.0 / np.maximum(((xy[:, None] - places) ** 2).sum(axis=2), 1e-12) ** 2
-        found: FloatArray = xy @ self.slope + (near @ above) / near.sum(axis=1)
+        ring = np.append(self.rim, self.rim[0])
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.samples.xy[ring], axis=0), axis=1))])
+        at = np.arange(RIM) / RIM * along[-1]
+        x, y, z = (np.interp(at, along, values[ring]) for values in (*self.samples.xy.T, self.samples.z))
+        above = z - (x * self.slope[0] + y * self.slope[1])
+        # Place by place: all at once they would take more memory than all the rest, and more time.
+        weighted, total = np.zeros(len(xy)), np.zeros(len(xy))
+        for place in range(RIM):
+            near = np.maximum((xy[:, 0] - x[place]) ** 2 + (xy[:, 1] - y[place]) ** 2, 1e-12) ** -2.0
+            total += near
+            near *= above[place]
+            weighted += near
+        found: FloatArray = xy[:, 0] * self.slope[0] + xy[:, 1] * self.slope[1] + weighted / total
         return found
 
     def _on_rim(self, xy: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
         """Nearest places (N, 2) on the rim, the samples (N, 3) at the ends of their edges, and weights (N, 3)."""
-        ring = np.append(self.rim, self.rim[0])
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.samples.xy[ring], axis=0), axis=1))])
-        at = shapely.line_locate_point(shapely.linestrings(self.samples.xy[ring]), shapely.points(xy))
-        edge = np.clip(np.searchsorted(along, at, side="right") - 1, 0, len(self.rim) - 1)
-        share = np.clip((at - along[edge]) / np.maximum(along[edge + 1] - along[edge], 1e-12), 0.0, 1.0)
-        first, second = ring[edge], ring[edge + 1]
-        foot = (1.0 - share)[:, None] * self.samples.xy[first] + share[:, None] * self.samples.xy[second]
+        ends = np.stack([self.rim, np.roll(self.rim, -1)], axis=1)
+        edge = shapely.STRtree(shapely.linestrings(self.samples.xy[ends])).nearest(shapely.points(xy))
+        first, second = ends[edge].T
+        start, along = self.samples.xy[first], self.samples.xy[second] - self.samples.xy[first]
+        share = ((xy - start) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-24)
+        share = np.clip(share, 0.0, 1.0)
+        foot = start + share[:, None] * along
         weight = np.column_stack([1.0 - share, share, np.zeros_like(share)])
         return foot, np.column_stack([first, second, second]), weight
 
 
-def _without_slivers(triangles: Delaunay, hull: IntArray) -> tuple[BoolArray, IntArray]:
+def _without_slivers(triangles: Triangulation, hull: IntArray) -> tuple[BoolArray, IntArray]:
     """Triangles that stay, and the corners of their rim in order; `hull` are those of all."""
-    xy, kept = triangles.points, np.ones(len(triangles.simplices), dtype=bool)
+    xy, kept = triangles.points, np.ones(len(triangles.corners), dtype=bool)
     follows = dict(zip(hull.tolist(), np.roll(hull, -1).tolist(), strict=True))
-    left = np.flatnonzero((triangles.neighbors < 0).any(axis=1)).tolist()
+    left = np.flatnonzero((triangles.across < 0).any(axis=1)).tolist()
     while left:
         number = left.pop()
-        corners = triangles.simplices[number].tolist()
+        corners = triangles.corners[number].tolist()
         for place, tip in enumerate(corners):
             one, other = corners[place - 2], corners[place - 1]
             one, other = (one, other) if follows.get(one) == other else (other, one)
@@ -238,7 +247,7 @@ def _without_slivers(triangles: Delaunay, hull: IntArray) -> tuple[BoolArray, In
             if follows.get(one) == other and tip not in follows and area < SLIVER * (along @ along):
                 kept[number] = False
                 follows[one], follows[tip] = tip, other
-                left += [each for each in triangles.neighbors[number].tolist() if each >= 0 and kept[each]]
+                left += [each for each in triangles.across[number].tolist() if each >= 0 and kept[each]]
                 break
     ring = [int(hull[0])]
     while follows[ring[-1]] != ring[0]:

@@ -24,7 +24,7 @@ from geomosaic.inputs.orientation_covariance import with_covariances
 from geomosaic.inputs.summary import control_discrepancies, list_missing_inputs
 from geomosaic.inputs.vertical_datums import frame_description, positions_crs
 from geomosaic.jobs.manifest import Layout, read_json, recorded_warnings, show_note, write_json
-from geomosaic.jobs.step import Context
+from geomosaic.jobs.step import Context, Machine
 from geomosaic.options.inputs import ANGLE_SYSTEMS
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.project.load import Project
@@ -65,12 +65,13 @@ class _Orientation:
         return {} if self.solved is None else self.solved.set_aside
 
 
-def orient(project: Project, context: Context) -> Mapping[str, Any]:
+def orient(project: Project, machine: Machine, context: Context) -> Mapping[str, Any]:
     """Step "orient": the model of each image as `models/<image>.json`, and the facts of the orientation.
 
     Parameters
     ----------
     project : Project
+    machine : Machine
     context : Context
 
     Returns
@@ -85,7 +86,7 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     """
     layout, exports = Layout(project), dict[str, str]()
     with recorded_warnings() as notes:
-        found = _oriented(project, context)
+        found = _oriented(project, machine, context)
         _write_models(layout, found, context)
         residuals = [each for _, block in found.parts for each in control_residuals(block)]
         if found.solved is not None:
@@ -114,9 +115,9 @@ def orient(project: Project, context: Context) -> Mapping[str, Any]:
     return {"images": len(found.block.scenes), "control": len(residuals)}
 
 
-def _oriented(project: Project, context: Context) -> _Orientation:
+def _oriented(project: Project, machine: Machine, context: Context) -> _Orientation:
     """Orientation of a project's images: by a block adjustment where it has one, else as declared."""
-    solved = _adjusted(project, context)
+    solved = _adjusted(project, machine, context)
     blocks, planar = (solved.blocks(), None) if solved is not None else _blocks(project)
     block = _in_project_order(project, join_blocks(project.blocks, blocks))
     return _Orientation(block, tuple(zip(project.blocks, blocks, strict=True)), solved, planar)
@@ -214,7 +215,7 @@ def _datum(project: Project, solved: AdjustedBlock) -> str | None:
     return given or (None if ground.is_compound else "ellipsoidal")
 
 
-def _adjusted(project: Project, context: Context) -> AdjustedBlock | None:
+def _adjusted(project: Project, machine: Machine, context: Context) -> AdjustedBlock | None:
     """Block adjustment of a project; None where it has none."""
     if project.adjustment is None:
         return None
@@ -224,7 +225,7 @@ def _adjusted(project: Project, context: Context) -> AdjustedBlock | None:
         options = project.adjustment
         if project.found_control and not _tied(project):
             options = replace(options, ties=None)
-        return adjust_parts(project.controlled_blocks, options, context.progress)
+        return adjust_parts(project.controlled_blocks, replace(options, **machine.options), context.progress)
 
 
 def _tied(project: Project) -> bool:
