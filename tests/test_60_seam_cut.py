@@ -47,6 +47,20 @@ def crossings(label: np.ndarray, where: np.ndarray) -> int:
     return int(along.sum() + down.sum())
 
 
+def test_a_house_across_decided_cells_goes_on_with_their_image() -> None:
+    """Three houses across the edge of what is decided: of one image, of the other, of both."""
+    decided = np.full((ROWS, COLS), -3)
+    decided[:, :60] = 0
+    decided[28:66, :60] = 1
+    candidates = np.where(decided < 0, np.array([0, 1])[:, None, None], np.stack([decided, np.full_like(decided, -1)]))
+    r, c = np.mgrid[:ROWS, :COLS]
+    cost = sum(np.exp(-(((r - row) ** 2 + (c - 60.0) ** 2) / 50.0)) for row in (14, 41, 66))
+    graph = region_graph(candidates, np.zeros(candidates.shape), cost, decided)
+    sides = [graph.allowed[graph.region[row, 64]].tolist() for row in (14, 41, 66)]
+    assert sides == [[0, -1], [1, -1], [1, 0]]
+    assert graph.allowed[graph.region[14, COLS - 1]].tolist() == [1, 0]
+
+
 def test_candidates_are_the_nearest_within_reach():
     candidates = two()
     assert (candidates[0, :, :60] == 0).all()

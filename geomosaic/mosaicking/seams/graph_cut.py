@@ -24,6 +24,8 @@ MAX_SWEEPS = 4
 _MAX_FLOW = 1 << 30
 # Costs below this are as good as none; the logarithmic relief of the watershed starts here.
 _COST_UNIT = 0.01
+# Cells of the largest basin that goes on as its decided cells are: a large house.
+_MAX_CONTINUED = 64 * 64
 # Length of a border from the neighbours it parts, the same in all directions (Boykov and Kolmogorov, 2003).
 _NEIGHBOURS = (
     ((0, 1), np.pi / 8),
@@ -88,7 +90,7 @@ def _catchment_basins(cost: AnyArray, known: BoolArray) -> IntArray:
     return np.where(known, flooded, -1).astype(np.int64)
 
 
-def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> RegionGraph:
+def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray, decided: IntArray | None = None) -> RegionGraph:
     """Graph of regions: cells of one basin with the same candidates.
 
     Parameters
@@ -99,6 +101,8 @@ def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> Regio
         Cost of each of them showing it.
     cost : array (rows, cols)
         Cost of a seam through the cell.
+    decided : int array (rows, cols), optional
+        Image of cells that have only this candidate, and to whose basins it belongs; below 0 elsewhere.
 
     Returns
     -------
@@ -106,6 +110,8 @@ def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> Regio
     """
     ranks, known = len(candidates), candidates[0] >= 0
     basin = _catchment_basins(cost, known)
+    if decided is not None:
+        candidates = _continued(candidates, basin, decided)
     # The cells of a region have the same candidates, whatever their order.
     sets = np.sort(candidates[:, known], axis=0)
     # All cells with the same sole candidate are one region, whatever their basin: there is nothing to decide.
@@ -126,6 +132,24 @@ def region_graph(candidates: IntArray, unary: AnyArray, cost: AnyArray) -> Regio
             hit = (allowed[inverse, place] == image) & (image >= 0)
             totals[:, place] += np.bincount(inverse[hit], price[hit], count)
     return RegionGraph(region, allowed, totals, *_borders(region, cost, count))
+
+
+def _continued(candidates: IntArray, basin: IntArray, decided: IntArray) -> IntArray:
+    """Candidates (ranks, rows, cols) where basins whose decided cells are all of one image are that image's.
+
+    A seam along decided cells would cut what stands there. Large basins are left: they are even ground.
+    """
+    count, known = int(basin.max(initial=-1)) + 1, (decided >= 0) & (basin >= 0)
+    low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+    np.minimum.at(low, basin[known], decided[known])
+    np.maximum.at(high, basin[known], decided[known])
+    small = np.bincount(basin[basin >= 0], minlength=count) <= _MAX_CONTINUED
+    image = np.append(np.where((low == high) & small, high, -1), -1)[basin]
+    follows = ~known & (image >= 0) & (candidates == image).any(axis=0)
+    found = candidates.copy()
+    found[:, follows] = -1
+    found[0, follows] = image[follows]
+    return found
 
 
 def _keys(basin: IntArray, sets: IntArray) -> IntArray:

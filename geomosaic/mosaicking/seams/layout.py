@@ -121,7 +121,7 @@ class LeastCostSeams(SeamMethod):
         known = decided > OUTSIDE
         candidates[:, known] = -1
         candidates[0, known] = decided[known]
-        regions = region_graph(candidates, cost.unary, cost.pairwise)
+        regions = region_graph(candidates, cost.unary, cost.pairwise, decided if known.any() else None)
         best = minimise(regions, regions.initial_labels(candidates[0]))
         shown = regions.region >= 0
         return np.where(shown, best[np.where(shown, regions.region, 0)] if len(best) else -1, -1)
