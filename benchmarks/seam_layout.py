@@ -18,7 +18,7 @@ from benchmarks.result import Result
 from benchmarks.rounds import Times, tell
 from benchmarks.setting import Setting
 
-SIDES, SMALL = (10, 20, 40), (4, 6)
+SIDES, SMALL = (10, 20, 30), (4, 6)
 WIDTH, HEIGHT, RIGHT, DOWN = 600, 420, 300, 260
 """Pixels of an ortho, and from one to the next: about as many as the cells that seams are laid on."""
 LEAN = 0.04
