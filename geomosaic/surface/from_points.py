@@ -24,9 +24,11 @@ DISAGREES = 6.0
 VAGUE = 8.0
 # Points below which nothing but a plane is determined.
 LEAST = 12
-# Cells between two neighbouring points; and nodes of a surface at most: 4 million nodes are 32 MB, and no tie points
-# tell more.
-CELLS, MOST = 2.0, 4_000_000
+# Cells between two neighbouring points; and nodes of a surface at most, 150 MB with their standard deviations.
+CELLS, MOST = 2.0, 16_000_000
+# Samples that are triangulated at most, which takes 640 bytes for each of them: with more points there is a mean in
+# every cell of CELLS x CELLS nodes.
+SAMPLES = int(MOST / CELLS**2)
 # Nodes, or neighbours of points, of one unit of work.
 CHUNK = 1 << 16
 
@@ -110,7 +112,7 @@ def surface_from_points(points: ScatteredPoints, grid: Grid, each: Map = map) ->
     kept, slope = _without_blunders(local, each)
     good = local.part(kept)
     samples = Samples.of(good.xyz, good.own, good.shared, slope[kept])
-    plane, thinned = Plane.through(samples), samples.thinned(min(grid.resolution))
+    plane, thinned = Plane.through(samples), samples.thinned(_thinned_to(grid))
     flat = plane.explains or len(thinned.xy) < LEAST
     law = None if flat else Roughness.of(TriangulatedSurface.of(thinned, plane), each)
     nodes = _Nodes(grid, middle, plane if law is None else law)
@@ -121,6 +123,12 @@ def surface_from_points(points: ScatteredPoints, grid: Grid, each: Map = map) ->
     for (first, last), found in zip(units, each(nodes, units), strict=True):
         heights[first:last], sigma[first:last], beyond[first:last] = found
     return PointSurface(grid, heights, sigma, kept, beyond, flat, plane.rms if law is None else law.residual)
+
+
+def _thinned_to(grid: Grid) -> float:
+    """Side of cells, map units, in each of which one sample is left."""
+    wide, tall = grid.resolution
+    return float(max(wide, tall, np.sqrt(grid.width * wide * grid.height * tall / SAMPLES)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,8 @@ EXPONENTS = np.array([0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.1, 1.25, 1.4, 1.6,
 SAMPLE, AROUND = 2000, 16
 # Points above which some of them stand for all where laws are found.
 LARGE = 20_000
+# And those above which all that stand for them may be left out at once.
+DENSE = 10 * LARGE
 # Share of the normal distribution within one standard deviation.
 WITHIN = 0.6827
 
@@ -62,10 +64,9 @@ class Roughness:
         """Law under which samples that are left out in turn are met; `each` calls a function of units of work."""
         samples, random = sheet.samples, np.random.default_rng(0)
         order = random.permutation(len(samples.z))
-        # All of them where that is quick; two parts of many tell as much.
-        few = len(order) <= LARGE
-        held = np.array_split(order, FOLDS) if few else [order[: LARGE // 4], order[LARGE // 4 : LARGE // 2]]
-        held = [rows for rows in held if len(rows)]
+        # All of them where that is quick; of many a part, as long as the others are about as dense without it.
+        some, parts = (order, FOLDS) if len(order) <= LARGE else (order[: LARGE // 2], 2 if len(order) < DENSE else 1)
+        held = [rows for rows in np.array_split(some, parts) if len(rows)]
         rows, at = np.concatenate(held), Interpolation.joined(list(each(_LeftOut(samples), held)))
         within = at.gap == 0.0
         rows, at = rows[within], at.part(within)
@@ -113,7 +114,7 @@ class Roughness:
         return at.height, self._within(at) + level * at.gap ** (2.0 * exponent), at.gap > 0.0
 
     def _within(self, at: Interpolation) -> FloatArray:
-        local: FloatArray = (np.abs(at.weight) * self.local[at.index]).sum(axis=1)
+        local: FloatArray = (np.abs(at.weight) * self.local.take(at.index)).sum(axis=1)
         return at.noise + self.level * local * at.shape(self.exponent)
 
 

@@ -184,16 +184,16 @@ class TriangulatedSurface:
         """Triangles and weights of places (N, 2)."""
         samples, (found, weight) = self.samples, self.triangles.locate(xy)
         inside = (found >= 0) & self.kept[found]
-        index = self.triangles.corners[found]
+        index = self.triangles.corners.take(found, axis=0)  # -1, beyond the hull, takes the last; it counts for nothing
         foot = xy.copy()
         if not inside.all():
             foot[~inside], index[~inside], weight[~inside] = self._on_rim(xy[~inside])
-        corner = samples.xy[index]
+        corner = samples.xy.take(index, axis=0)
         to = np.linalg.norm(corner - foot[:, None], axis=2)
         between = np.linalg.norm(corner - np.roll(corner, -1, axis=1), axis=2)
-        height = (weight * samples.z[index]).sum(axis=1)
+        height = (weight * samples.z.take(index)).sum(axis=1)
         height[~inside] = self._beyond(xy[~inside])
-        noise = (weight**2 * samples.own[index] + np.abs(weight) * samples.shared[index]).sum(axis=1)
+        noise = (weight**2 * samples.own.take(index) + np.abs(weight) * samples.shared.take(index)).sum(axis=1)
         gap = np.where(inside, 0.0, np.linalg.norm(xy - foot, axis=1))
         return Interpolation(index, weight, height, noise, to, between, gap)
 
