@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import shutil
 import warnings
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,6 +49,17 @@ def adjusted(folder: Path) -> AdjustedBlock:
     project = load_project(folder / "block.toml")
     assert project.adjustment is not None
     return gm.adjust(project.inputs, ties=folder / "ties.csv", sigma_px=0.3, position_sigma=20.0, attitude_sigma=0.5)
+
+
+@pytest.mark.ci
+def test_workers_make_the_ground_of_a_project(folder: Path, adjusted: AdjustedBlock, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "own")
+    done = gm.run_project(tmp_path / "own" / "block.toml", steps=("orient",), workers=2)
+    assert done.run is not None
+    computed = sum((worker.units for worker in done.run.workers.values()), Counter())
+    assert {"Judged", "LeftOut", "Nodes"} <= set(computed)
+    with rasterio.open(tmp_path / "own" / "output" / "surface.tif") as file:
+        assert np.array_equal(file.read(1), adjusted.tie_point_surface.surface.heights)
 
 
 def test_heights_are_wrong_by_what_their_sigmas_say(adjusted: AdjustedBlock) -> None:
