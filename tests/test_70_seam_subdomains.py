@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
@@ -193,12 +194,10 @@ def test_raised_objects_are_the_same_in_all_windows(monkeypatch) -> None:
 
 
 @dataclass(frozen=True)
-class Waves:
+class Waves(layout.SeamMethod):
     """Seam of two images that crosses the borders of subdomains again and again."""
 
-    grid: Grid
-
-    def labels(self, part: Subdomain, _: RenderOptions) -> np.ndarray:
+    def labels(self, part: Subdomain, options: RenderOptions) -> np.ndarray:
         rows, cols = np.indices((part.window.height, part.window.width))
         rows, cols = rows + part.window.row, cols + part.window.col
         return (rows > 250 + 60 * np.sin(cols / 15)).astype(int)
@@ -214,7 +213,7 @@ def test_shares_have_no_slits_along_subdomains(turned, monkeypatch) -> None:
     grid = Grid(CRS("EPSG:32631"), place, 700, 500)
     corners = grid.xy(np.array([[3.3, 3.3], [695.1, 3.3], [695.1, 495.1], [3.3, 495.1]]))
     outlines, photos = [shapely.Polygon(corners)] * 2, SimpleNamespace(centres=[tuple(corners[0]), tuple(corners[2])])
-    shares = layout._laid_out(photos, outlines, Waves(grid), RenderOptions(threads=1))
+    shares = layout._laid_out(Waves(photos, outlines, grid), RenderOptions(threads=1), None)
     assert [(share.geom_type, len(share.interiors)) for share in shares] == [("Polygon", 0)] * 2
     assert sum(share.area for share in shares) == pytest.approx(outlines[0].area, rel=1e-9)
 
@@ -260,3 +259,41 @@ def test_a_subdomain_takes_the_cells_along_its_core_as_its_neighbours_decided_th
     assert [len(part.neighbours) for part in decided][:4] == [0, 0, 0, 0]
     assert max(len(part.neighbours) for part in decided) == 8
     assert reports[-1] == (len(cores), len(cores), "seams")
+
+
+@pytest.mark.ci
+def test_a_run_that_stops_amid_the_seams_goes_on_and_a_changed_image_costs_its_surroundings(
+    block, mosaics, tmp_path, monkeypatch
+) -> None:
+    for constant, value in SMALL.items():
+        monkeypatch.setattr(subdomains, constant, value)
+    monkeypatch.setattr(layout, "LARGEST", 10_000)
+    laid, lay, most = list[Subdomain](), layout._seams_of, 7
+
+    def counted(method: Any, part: Subdomain, options: RenderOptions) -> SubdomainSeams:
+        if len(laid) == most:
+            raise KeyboardInterrupt
+        laid.append(part)
+        return lay(method, part, options)
+
+    monkeypatch.setattr(layout, "_seams_of", counted)
+    images = [Path(shutil.copy(path, tmp_path)) for path in block]
+    how = {"resolution": 1.0, "balance": False, "feather": 0.0, "seams": "graph-cut", "threads": 1, "stac": False}
+    with pytest.raises(KeyboardInterrupt):
+        gm.mosaic(images, tmp_path / "m.vrt", tiling="1024px", **how)
+    most = 1000
+    gm.mosaic(images, tmp_path / "m.vrt", tiling="1024px", **how)
+    whole = list({part.core: part for part in laid})
+    assert len(laid) == len(whole) > 15
+    assert list(read_layer(tmp_path / "m.gpkg", "seams").geometry) == mosaics("graph-cut", threads=1)[0]
+
+    laid.clear()
+    with rasterio.open(images[0], "r+") as dataset:
+        values = dataset.read(1)
+        values[-40:, -40:] = 255
+        dataset.write(values, 1)
+    gm.mosaic(images, tmp_path / "m.vrt", tiling="1024px", overwrite=True, **how)
+    assert 0 < len(laid) < len(whole)
+    fresh = gm.mosaic(images, tmp_path / "fresh.tif", **how)
+    again = read_layer(tmp_path / "m.gpkg", "seams").geometry
+    assert list(again) == list(read_layer(fresh.path.with_suffix(".gpkg"), "seams").geometry)

@@ -15,6 +15,7 @@ from geomosaic.block import OrientedBlock
 from geomosaic.errors import InputError, OutputExistsError, warn
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
+from geomosaic.mosaicking.result_cache import PARTS
 from geomosaic.options.render import BLOCK_WIDTH
 from geomosaic.raster.files import check_output, check_output_size, companion
 from geomosaic.raster.info import inspect
@@ -142,7 +143,8 @@ class MosaicFiles:
         try:
             yield
         except BaseException:
-            if [path.name for path in self.folder.iterdir()] == [self.STATE]:  # there is nothing to go on with
+            tiles = [path.name for path in self.folder.iterdir()] != [self.STATE]
+            if not tiles and not any(self.state.rglob(f"{PARTS}/*.json")):  # there is nothing to go on with
                 _remove_folder(self.folder)
             raise
         self._mark.unlink()

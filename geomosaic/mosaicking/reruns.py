@@ -23,6 +23,7 @@ from geomosaic.geo.grid import Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import Correction
 from geomosaic.mosaicking.result_cache import EarlierRun, ResultCache
+from geomosaic.mosaicking.seams.kept_subdomains import KeptSubdomains
 from geomosaic.mosaicking.seams.seamlines import SeamQuality, Segment, measure_seams
 from geomosaic.options.declaration import stage_values
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
@@ -244,9 +245,10 @@ class EarlierResults:
         self._options, self._earlier_run = options, earlier_run
         self.recall = ResultCache(None if earlier_run is None else earlier_run.found)
         place = (grid.crs.to_wkt(), tuple(grid.transform), grid.shape)
-        self._base = "" if earlier_run is None else digest_of(
-            geomosaic.__version__, deciding_code(), *earlier_run.scenes, earlier_run.ground, *place, photos.info.dtype
+        self._place = "" if earlier_run is None else digest_of(
+            geomosaic.__version__, deciding_code(), earlier_run.ground, *place, photos.info.dtype
         )  # fmt: skip
+        self._base = "" if earlier_run is None else digest_of(self._place, *earlier_run.scenes)
 
     def balance(self, compute: Callable[[], Balance]) -> Balance:
         """Balance of all photos, excluded or not, before any manual edit."""
@@ -284,6 +286,26 @@ class EarlierResults:
         key = digest_of(self._base, earlier_run.seams, *drawn, *(_colour_bytes(colour) for colour in colours))
         known = self.recall.get("seams", key, lambda: [shapely.to_wkb(share, hex=True) for share in compute()])
         return [shapely.from_wkb(bytes.fromhex(text)) for text in known]
+
+    def subdomains(self, shapes: Sequence[Any], colours: Sequence[Correction]) -> KeptSubdomains | None:
+        """Seams of the subdomains of a large block, each kept as soon as it is laid; None without an earlier run.
+
+        Parameters
+        ----------
+        shapes : sequence of Polygon or MultiPolygon
+            Outlines of the images between which seams are laid.
+        colours : sequence of Correction
+        """
+        import shapely
+
+        run = self._earlier_run
+        if run is None:
+            return None
+        images = [
+            digest_of(scene, shapely.to_wkb(shape), _colour_bytes(colour))
+            for scene, shape, colour in zip(run.scenes, shapes, colours, strict=True)
+        ]
+        return KeptSubdomains(self.recall, digest_of(self._place, run.seams), images)
 
     def judged(self, blender: Blender, parts: Sequence[Segment]) -> list[SeamQuality]:
         """Quality of each seam segment; segments between unchanged images are not measured again."""

@@ -18,6 +18,9 @@ import numpy as np
 from geomosaic.digests import sha256
 from geomosaic.whole_files import write_atomic
 
+# Folder of results of parts of a stage, with which a run goes on that was stopped amid it.
+PARTS = "parts"
+
 
 @dataclass(frozen=True)
 class EarlierRun:

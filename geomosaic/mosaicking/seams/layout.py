@@ -28,6 +28,7 @@ from geomosaic.mosaicking.seams.seam_layers import SeamLayers
 from geomosaic.mosaicking.seams.subdomains import (
     LARGEST,
     OUTSIDE,
+    KeptSeams,
     Subdomain,
     SubdomainSeams,
     rims_of,
@@ -170,6 +171,7 @@ def least_cost_regions(
     options: RenderOptions,
     weights: SeamWeights | None = None,
     layers: SeamLayers | None = None,
+    kept: KeptSeams | None = None,
 ) -> list[Any]:
     """Seam polygons of least cost, by graph cuts over image differences, raised objects and given lines and areas.
 
@@ -184,6 +186,8 @@ def least_cost_regions(
         Threads, workers and progress.
     weights : SeamWeights, optional
     layers : SeamLayers, optional
+    kept : KeptSeams, optional
+        Seams of an earlier run.
 
     Returns
     -------
@@ -192,10 +196,12 @@ def least_cost_regions(
     """
     weights, layers = weights or SeamWeights(), layers or SeamLayers()
     method = LeastCostSeams(photos, outlines, seam_grid(photos), tuple(colours), weights, layers)
-    return undivided(_laid_out(photos, outlines, method, options), outlines, layers.avoid)
+    return undivided(_laid_out(method, options, kept), outlines, layers.avoid)
 
 
-def halved_regions(photos: Photos, outlines: Sequence[Any], options: RenderOptions) -> list[Any]:
+def halved_regions(
+    photos: Photos, outlines: Sequence[Any], options: RenderOptions, kept: KeptSeams | None = None
+) -> list[Any]:
     """Seam polygons that halve overlaps: a place belongs to the image whose inner edge is farthest away.
 
     Parameters
@@ -205,13 +211,15 @@ def halved_regions(photos: Photos, outlines: Sequence[Any], options: RenderOptio
         What each image shows, in the output map; empty for images that are left out.
     options : RenderOptions
         Threads, workers and progress.
+    kept : KeptSeams, optional
+        Seams of an earlier run.
 
     Returns
     -------
     list of Polygon or MultiPolygon
         One per image; they share no area, and their union is that of the outlines.
     """
-    return _laid_out(photos, outlines, HalvedSeams(photos, outlines, seam_grid(photos), inner_edges(outlines)), options)
+    return _laid_out(HalvedSeams(photos, outlines, seam_grid(photos), inner_edges(outlines)), options, kept)
 
 
 def seam_grid(photos: Photos) -> Grid:
@@ -226,11 +234,11 @@ def seam_grid(photos: Photos) -> Grid:
     return photos.grid.coarser(max(1, round(float(np.sqrt(np.median(areas))) / LAYOUT_CELLS / pixel)))
 
 
-def _laid_out(photos: Photos, outlines: Sequence[Any], method: SeamMethod, options: RenderOptions) -> list[Any]:
+def _laid_out(method: SeamMethod, options: RenderOptions, kept: KeptSeams | None) -> list[Any]:
     """Polygons of all images, made to divide the footprints exactly."""
     import shapely
 
-    grid = method.grid
+    photos, outlines, grid = method.photos, method.outlines, method.grid
     cells = grid.width * grid.height
     if options.memory_limit < (needed := PROGRAM + CELL_BYTES * min(cells, LARGEST)):
         raise InputError(
@@ -246,7 +254,7 @@ def _laid_out(photos: Photos, outlines: Sequence[Any], method: SeamMethod, optio
         windows = [Window(0, 0, 0, 0) if shape.is_empty else grid.window_of(shape.bounds) for shape in outlines]
         alone = replace(options, threads=1, workers=None, progress=None)
         unit = _SubdomainUnit(method, alone, MemoryBudget(options.spare_memory))
-        found = seams_in_turns(grid, windows, unit, options)
+        found = seams_in_turns(grid, windows, unit, options, kept)
     of_image: dict[int, list[Any]] = {}
     for polygon, number in found:
         of_image.setdefault(number, []).append(polygon)

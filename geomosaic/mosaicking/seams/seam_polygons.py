@@ -57,7 +57,7 @@ def _shares(
     photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: EarlierResults
 ) -> list[Any]:
     def computed() -> list[Any]:
-        return earlier.shares(shapes, colours, lambda: _with_water_polygons(photos, shapes, colours, options))
+        return earlier.shares(shapes, colours, lambda: _with_water_polygons(photos, shapes, colours, options, earlier))
 
     if options.seamlines.cutlines is None:
         return computed()
@@ -73,9 +73,9 @@ def _shares(
 
 
 def _with_water_polygons(
-    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions
+    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: EarlierResults
 ) -> list[Any]:
-    shares = _automatic(photos, shapes, colours, options)
+    shares = _automatic(photos, shapes, colours, options, earlier)
     if options.seamlines.water is None:
         return shares
     from geomosaic.mosaicking.seams.cutlines import with_cutlines
@@ -85,7 +85,9 @@ def _with_water_polygons(
     return with_cutlines(shares, least_glint(photos, water, shapes, colours, options.render))
 
 
-def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+def _automatic(
+    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: EarlierResults
+) -> list[Any]:
     """Computed seam polygons: images of a rank divide what those of the ranks before them leave."""
     import shapely
 
@@ -94,7 +96,7 @@ def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction],
         return visible_regions(shapes, image_order(scenes, outlines, options.merge))
     ranks = image_ranks(scenes, outlines, options.merge)
     if len(set(ranks)) == 1:
-        return _divided(photos, shapes, colours, options)
+        return _divided(photos, shapes, colours, options, earlier)
     shares, covered = [shapely.Polygon()] * len(shapes), shapely.Polygon()
     for rank in sorted(set(ranks)):
         own = [i for i, of in enumerate(ranks) if of == rank and not shapes[i].is_empty]
@@ -104,22 +106,25 @@ def _automatic(photos: Photos, shapes: list[Any], colours: Sequence[Correction],
         if len(own) == 1:
             shares[own[0]] = left[own[0]]
         elif any(not left[i].is_empty for i in own):
-            divided = _divided(photos, left, colours, options)
+            divided = _divided(photos, left, colours, options, earlier)
             for i in own:
                 shares[i] = divided[i]
         covered = shapely.union_all([covered, *(shapes[i] for i in own)])
     return shares
 
 
-def _divided(photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions) -> list[Any]:
+def _divided(
+    photos: Photos, shapes: list[Any], colours: Sequence[Correction], options: MosaicOptions, earlier: EarlierResults
+) -> list[Any]:
     """Seam polygons of images of one rank, by the method of `options.seamlines.seams`."""
     if options.seamlines.seams == "graph-cut":
         from geomosaic.mosaicking.seams.seam_layers import read_seam_layers
 
         layers = read_seam_layers(options.seamlines.follow, options.seamlines.avoid, photos.grid)
-        return least_cost_regions(photos, shapes, colours, options.render, options.seamlines.seam_weights, layers)
+        weights, kept = options.seamlines.seam_weights, earlier.subdomains(shapes, colours)
+        return least_cost_regions(photos, shapes, colours, options.render, weights, layers, kept)
     if options.seamlines.seams == "halve":
-        return halved_regions(photos, shapes, options.render)
+        return halved_regions(photos, shapes, options.render, earlier.subdomains(shapes, colours))
     return voronoi_regions(shapes, photos.centres)
 
 

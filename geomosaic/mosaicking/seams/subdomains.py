@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -88,6 +88,19 @@ class SubdomainSeams:
     rims: list[Rim]
 
 
+class KeptSeams(Protocol):
+    """Seams of subdomains that are kept from run to run."""
+
+    def get(self, part: Subdomain) -> SubdomainSeams | None:
+        """Seams of a subdomain; None where they have to be laid."""
+
+    def keep(self, part: Subdomain, seams: SubdomainSeams) -> None:
+        """Seams of a subdomain kept for the next run."""
+
+    def reused(self, number: int, total: int) -> None:
+        """Number of subdomains whose seams are those of an earlier run."""
+
+
 def rims_of(core: Window, labels: IntArray) -> list[Rim]:
     """Labels along the edges of a core.
 
@@ -112,6 +125,7 @@ def seams_in_turns(
     windows: Sequence[Window],
     function: Callable[[Subdomain], SubdomainSeams],
     options: RenderOptions,
+    kept: KeptSeams | None = None,
 ) -> Iterator[tuple[Any, int]]:
     """Seams of all subdomains of a grid, as units of work.
 
@@ -125,6 +139,8 @@ def seams_in_turns(
         Seams of a subdomain.
     options : RenderOptions
         Threads, workers and progress.
+    kept : KeptSeams, optional
+        Seams of subdomains of an earlier run, which perhaps did not end.
 
     Yields
     ------
@@ -150,18 +166,28 @@ def seams_in_turns(
             core, window, tuple(index.meeting(window)), tuple(cores[each] for each in decided), tuple(known)
         )
 
-    done = 0
+    done = reused = 0
     for turn in range(4):
         places = [place for place in shared if 2 * (place[0] % 2) + place[1] % 2 == turn]
-        own: dict[tuple[int, int], list[Rim]] = {}
-        for place, (_, found) in zip(
-            places, map_units(function, map(subdomain, places), options, ahead=1), strict=True
-        ):
-            own[place] = found.rims
-            yield from found.polygons
+        found: dict[tuple[int, int], SubdomainSeams] = {}
+        parts = {place: subdomain(place) for place in places}
+        for place, part in parts.items():
+            if kept is not None and (known := kept.get(part)) is not None:
+                found[place] = known
+        reused, done = reused + len(found), done + len(found)
+        left = [place for place in places if place not in found]
+        units = map_units(function, (parts[place] for place in left), options, ahead=1)
+        for place, (part, seams) in zip(left, units, strict=True):
+            found[place] = seams
+            if kept is not None:
+                kept.keep(part, seams)
             done += 1
             options.report(done, len(shared), "seams")
-        rims |= own
+        for place in places:
+            rims[place] = found[place].rims
+            yield from found[place].polygons
+    if kept is not None:
+        kept.reused(reused, len(shared))
 
 
 def _cores(grid: Grid) -> dict[tuple[int, int], Window]:
