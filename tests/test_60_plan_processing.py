@@ -58,6 +58,9 @@ def test_what_limits_a_stage_is_named(tmp_path: Path) -> None:
     assert (coarse.limited_by, coarse.seconds) == ("reading", pytest.approx(2 * 8e9 / 100e6))
     (misfit,) = planned(tmp_path, memory="2G").misfits
     assert misfit == "match takes 2.4 GB of memory, and there are 2.15"
+    (misfit,) = planned(tmp_path, disk="10G").misfits
+    assert misfit == "the mosaic takes 11.2 GB of disk, and there are 10.7"
+    assert not planned(tmp_path, disk="11G").misfits
 
 
 def test_the_rates_of_the_package_foretell_runs_that_they_were_not_made_from() -> None:

@@ -175,11 +175,15 @@ class ProcessingOptions(CheckedOptions):
         60.0, "Overlap of the strips.", least=0.0, most=95.0, unit="%", metavar="PERCENT", shown="60"
     )
     oriented: bool = option(False, "Orientations are known: nothing is matched and adjusted.", flag="--oriented")
-    workers: int = option(1, "Machines that draw the mosaic.", least=1)
+    workers: int = option(1, "Machines that match photos and draw the mosaic.", least=1)
     cores: int = option(2, "Cores of each.", least=1)
     memory: int = option(
         8 * GIGABYTE, "Memory of each, such as 16G.", least=1, metavar="SIZE", parse=parse_size, shown="8G"
     )
+    disk: int | None = option(
+        None, "Room on the disk that the mosaic is written to, such as 2T.", least=1, metavar="SIZE",
+        parse=parse_size, shown="no limit",
+    )  # fmt: skip
     bandwidth: float | None = option(
         None, "From the storage to each machine and back, megabytes a second.", above=0.0, metavar="MB/S",
         shown="no limit",

@@ -77,7 +77,7 @@ class ProcessingPlan:
     cost : float, optional
         Core hours by their price; None without one.
     misfits : tuple of str
-        What does not fit into the memory given.
+        What does not fit into the memory or onto the disk given.
     rates : mapping
         Rates reckoned with, with the date and the machine they were measured on.
     """
@@ -137,11 +137,13 @@ def processing_plan(wanted: ProcessingOptions) -> ProcessingPlan:
     memory = rates["mosaic_mb"] * _MEGABYTE
     stages.append(_stage("mosaic", cpu, wanted.workers, wanted, _DRAWN * size, written, memory))
     hours = sum(stage.seconds for stage in stages) / 3600.0 * wanted.workers * wanted.cores
-    misfits = tuple(
+    misfits = [
         f"{stage.name} takes {stage.memory / 1e9:.3g} GB of memory, and there are {wanted.memory / 1e9:.3g}"
         for stage in stages
         if stage.memory > wanted.memory
-    )
+    ]
+    if wanted.disk is not None and written > wanted.disk:
+        misfits.append(f"the mosaic takes {written / 1e9:.3g} GB of disk, and there are {wanted.disk / 1e9:.3g}")
     cost = None if wanted.core_hour is None else hours * wanted.core_hour
     return ProcessingPlan(
         wanted.photos,
@@ -152,7 +154,7 @@ def processing_plan(wanted: ProcessingOptions) -> ProcessingPlan:
         tuple(stages),
         hours,
         cost,
-        misfits,
+        tuple(misfits),
         rates,
     )
 
