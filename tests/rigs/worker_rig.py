@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -75,12 +75,16 @@ def _seen(marker: str) -> bool:
 
 @contextmanager
 def cluster(
-    folder: Path, workers: int = 2, nannies: bool = True
+    folder: Path, workers: int = 2, nannies: bool = True, tls: Mapping[str, str] | None = None
 ) -> Iterator[tuple[Any, list[subprocess.Popen[bytes]]]]:
-    """Client of a Dask cluster on this machine, and the processes of its scheduler and workers or their nannies."""
+    """Client of a Dask cluster on this machine, and the processes of its scheduler and workers or their nannies.
+
+    Connections are encrypted where variables of Dask's configuration name certificates, `tls`.
+    """
     distributed = pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
     environment = {
         **os.environ,
+        **(tls or {}),
         "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
         "DASK_TEMPORARY_DIRECTORY": str(folder),
         # As docs/scale.md advises: Dask has workers give memory back at once, and a fifth of their time goes there.
@@ -95,12 +99,19 @@ def cluster(
             return subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=folder)
 
     file = ["--scheduler-file", str(address)]
-    running = [started("dask_scheduler", *file, "--host", "127.0.0.1", "--port", "0")]
+    protocol = ["--protocol", "tls" if tls else "tcp"]
+    running = [started("dask_scheduler", *file, *protocol, "--host", "127.0.0.1", "--port", "0")]
     try:
         for _ in range(workers):
             nanny = "--nanny" if nannies else "--no-nanny"
             running.append(started("dask_worker", *file, "--nthreads", "1", nanny, "--memory-limit", "4GiB"))
-        with distributed.Client(scheduler_file=str(address), set_as_default=False, timeout=30) as client:
+        own = {"tls_ca_file": "CA_FILE", "tls_client_cert": "CLIENT__CERT", "tls_client_key": "CLIENT__KEY"}
+        security = tls and distributed.Security(
+            require_encryption=True, **{name: tls[f"DASK_DISTRIBUTED__COMM__TLS__{of}"] for name, of in own.items()}
+        )
+        with distributed.Client(
+            scheduler_file=str(address), set_as_default=False, timeout=30, security=security
+        ) as client:
             client.wait_for_workers(workers, timeout=60)
             yield client, running
     finally:
