@@ -42,6 +42,7 @@ def test_a_wrong_tie_is_followed_along_its_rays_and_its_photo_set_aside(
         panel = page.locator("#panel-block")
         expect(panel).to_contain_text("4, adjusted as one block", timeout=20000)
         panel.get_by_role("button", name=image, exact=False).first.click()
+        expect(panel.locator("#block-points h3")).to_have_text(f"Largest residuals in {image}")
         worst = panel.locator("#block-points .chip").first
         expect(worst).to_contain_text(f"{point} ")
         expect(worst).to_contain_text("left out")

@@ -17,7 +17,7 @@ pytest.importorskip("uvicorn", reason="the extra `studio` is not installed")
 pytest.importorskip("httpx2", reason="httpx2 is not installed")
 pytest.importorskip("playwright", reason="playwright is not installed")
 
-from browser_rig import Faults, browser, open_page, picture, running_studio
+from browser_rig import Faults, browser, open_page, picture, rest, running_studio
 from playwright.sync_api import Error, expect
 from studio_rig import PROJECT, write_image, write_project
 
@@ -99,6 +99,14 @@ OUTSIDE = """() => [...document.querySelectorAll("header button, [role=tab], .ca
     || one.getBoundingClientRect().bottom > innerHeight + 1)
   .map((one) => one.id || one.outerHTML.slice(0, 100))"""
 
+# Whether an element is seen now; `globalThis.seen` tells whether it was since, however short.
+SEEN = """selector => {
+  const one = document.querySelector(selector);
+  globalThis.seen = false;
+  new MutationObserver(() => { globalThis.seen ||= !one.hidden; }).observe(one, { attributes: true });
+  return !one.hidden;
+}"""
+
 IMAGE = """(src) => new Promise((done) => {
   const one = new Image();
   one.onload = () => done("shown");
@@ -157,8 +165,9 @@ def test_a_project_shows_its_photos_and_mosaic_by_keys_alone(page: Any) -> None:
     before = page.evaluate("() => document.querySelector('#image-view canvas').toDataURL()")
     page.keyboard.press("+")
     page.keyboard.press("ArrowRight")
-    page.wait_for_timeout(400)
-    assert page.evaluate("() => document.querySelector('#image-view canvas').toDataURL()") != before
+    page.wait_for_function(
+        "before => document.querySelector('#image-view canvas').toDataURL() !== before", arg=before, timeout=5000
+    )
 
 
 def test_everything_that_can_be_pressed_has_a_name_and_fits_a_tablet(page: Any) -> None:
@@ -215,7 +224,7 @@ def test_a_map_that_changes_while_it_is_drawn_has_each_layer_once(trial: Path, p
         mosaic.touch()
     with page.expect_response("**/api/project"):
         mosaic.touch()
-    page.wait_for_timeout(300)  # for the page to draw it, if it did not wait
+    page.wait_for_timeout(300)  # for the page to draw it, if it did not wait; it does not rest, as an answer is held
     with page.expect_response("**/api/steps"):  # the last that the page reads of a project
         held[0].continue_()
     assert names.all_inner_texts() == before
@@ -235,8 +244,10 @@ def test_what_an_edit_made_stale_is_run_and_stopped_from_the_page(trial: Path, p
     page.get_by_role("button", name="Stop").click()
     expect(page.locator("#run-stage")).to_contain_text("stopped; what is done stays done", timeout=20000)
     expect(page.get_by_role("button", name="Stop")).to_be_hidden()
+    seen = page.evaluate(SEEN, "#run-progress")
+    assert not seen
     page.get_by_role("button", name="Run what is stale").click()
-    expect(page.locator("#run-progress")).to_be_visible()
+    page.wait_for_function("() => globalThis.seen", timeout=20000)
     expect(page.locator("#run-stage")).to_have_text("done", timeout=30000)
     expect(page.locator("#run-log")).to_contain_text("mosaic: fresh")
     expect(stale).to_have_count(0, timeout=10000)
@@ -275,7 +286,7 @@ def test_what_files_say_is_text_and_never_markup(tmp_path: Path, context: Any, f
             PROJECT.replace("[sensor]", f'[sensor]\n"{script}" = ['), encoding="utf-8"
         )
         expect(page.locator("#panel-messages")).to_contain_text("Error", timeout=5000)
-        page.wait_for_timeout(200)
+        rest(page)
         assert "broken" not in page.title().replace(script, "")
         assert page.locator("img[src=x]").count() == 0
 

@@ -13,7 +13,7 @@ import rasterio
 
 pytest.importorskip("starlette", reason="the extra `studio` is not installed")
 
-from browser_rig import Faults, Pane, browser, open_page, picture, running_studio
+from browser_rig import Faults, Pane, browser, open_page, picture, rest, running_studio
 from reference_rig import land
 from studio_control_rig import scan_ground, scan_project, spot_ground, spot_project
 
@@ -112,7 +112,7 @@ def test_a_spot_scene_becomes_as_accurate_as_the_next_points_say(chromium: Any, 
                 break
             best = np.array([advice["order"][0]["col"], advice["order"][0]["row"]])
             page.locator("#control-order li button").first.click()
-            page.wait_for_timeout(400)
+            rest(page)
             page.keyboard.press("p")
             image.click(best)
             chart.click(spot_ground(best[None])[0])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +16,7 @@ pytest.importorskip("starlette", reason="the extra `studio` is not installed")
 
 import geopandas
 import shapely
-from browser_rig import Faults, Pane, browser, open_page, picture, running_studio
+from browser_rig import Faults, Pane, browser, open_page, picture, rest, running_studio
 from digitizing_rig import digitizing_project, pixels_of, road
 from reference_rig import GROUND, ORIGIN
 
@@ -177,7 +179,7 @@ def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tm
         with page.expect_response(lambda answer: "map_layer=" in answer.url):  # the layer is read anew
             page.keyboard.press("Control+z")
         expect(status).to_contain_text("taken back")
-        page.wait_for_timeout(500)
+        rest(page)
         assert np.array_equal(corners_in(tmp_path / "fields.gpkg", 0)[:-1], square)
 
         page.keyboard.down("Alt")
@@ -188,7 +190,7 @@ def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tm
         with page.expect_response(lambda answer: "map_layer=" in answer.url):  # the layer is read anew
             page.keyboard.press("Control+z")
         expect(status).to_contain_text("taken back")
-        page.wait_for_timeout(500)
+        rest(page)
 
         page.get_by_label("Trace").check()
         page.keyboard.press("d")
@@ -201,10 +203,10 @@ def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tm
         page.on("response", lambda answer: answer.url.endswith("sketch") and sketch.append(len(corners_of(answer))))
         for place in far:
             chart.click(place)
-        page.wait_for_timeout(300)
+        rest(page)
         page.keyboard.press("Control+z")
         page.keyboard.press("Backspace")
-        page.wait_for_timeout(300)
+        rest(page)
         assert sketch[-2:] == [sketch[-3] - 1, sketch[-3] - 2]
         page.get_by_label("Trace").uncheck()  # and what is drawn goes on
         chart.click(far[2])
@@ -234,6 +236,64 @@ def test_what_was_drawn_is_moved_traced_taken_back_and_dropped(chromium: Any, tm
         page.keyboard.press("Escape")
         drop_what_conflicts(page, tmp_path / "trees.gpkg")
     assert geopandas.read_file(tmp_path / "trees.gpkg")["name"].tolist()[0] == "theirs"
+    assert not faults
+
+
+def test_what_is_drawn_next_keeps_the_keys_and_its_photo(chromium: Any, tmp_path: Path) -> None:
+    """The next feature is begun before the last one is shown; a line that was begun in a photo stays in that photo."""
+    from playwright.sync_api import expect
+
+    (project, camera), faults = digitizing_project(tmp_path), Faults()
+    shutil.copyfile(tmp_path / "photo.tif", tmp_path / "second.tif")
+    project.path.write_text(project.path.read_text().replace('"photo.tif"', '"photo.tif", "second.tif"'))
+    orientation = (tmp_path / "exterior.csv").read_text()
+    row = orientation.splitlines()[1]
+    (tmp_path / "exterior.csv").write_text(f"{orientation}{row.replace('photo.tif', 'second.tif')}\n")
+    truth = road(6)
+    write_layer(tmp_path / "roads.gpkg", shapely.LineString(truth))
+    held: list[Any] = []
+    with running_studio(project.path) as studio, chromium.new_context(viewport=SCREEN) as context:
+        page = open_page(context, studio.address, faults)
+        page.get_by_role("tab", name="Draw").click()
+        rows, waiting = page.locator("#features-table tbody tr[data-id]"), page.locator("#features-waiting li")
+        expect(rows).to_have_count(1)
+        image, chart, pixels = Pane(page, "image"), Pane(page, "map"), pixels_of(camera, truth)
+        rest(page)
+
+        page.keyboard.press("d")
+        page.route("**/api/features/layers/*?map_layer=*", lambda request: held.append(request), times=1)
+        with page.expect_request("**/api/features/layers/*?map_layer=*"):
+            for place in [*truth[:2], truth[1]]:
+                chart.click(place + np.array([0.0, 60.0]))
+        chart.click(truth[3])
+        held.pop().continue_()
+        expect(rows).to_have_count(2)
+        rest(page)
+        expect(chart.canvas).to_be_focused()  # and not the attributes of what was drawn before
+        page.keyboard.press("Escape")
+        rest(page)
+        expect(waiting).to_have_count(0)
+
+        for place in pixels[:2]:
+            image.click(place)
+        page.keyboard.press("]")
+        expect(page.locator("#image-view .name")).to_have_text("second.tif")
+        expect(waiting).to_have_text(re.compile("A line of 2 vertices was being drawn in a photo"))
+        for place in pixels[3:5]:
+            image.click(place)
+        page.keyboard.press("d")
+        expect(waiting).to_have_count(2)
+        waiting.first.get_by_role("button", name="Go on with it").click()
+        expect(page.locator("#image-view .name")).to_have_text("photo.tif")
+        expect(page.locator("#status")).to_contain_text("go on")
+        for place in [pixels[2], pixels[2]]:
+            image.click(place)
+        expect(rows).to_have_count(3)
+        page.keyboard.press("Escape")
+        page.keyboard.press("Escape")
+        expect(waiting).to_have_text(re.compile("A line of 2 vertices"))
+    drawn = corners_in(tmp_path / "roads.gpkg", 2)
+    assert np.hypot(*(pixels_of(camera, drawn) - pixels[:3]).T).max() < 0.7
     assert not faults
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import shapely
 
 pytest.importorskip("starlette", reason="the extra `studio` is not installed")
 
-from browser_rig import Faults, Pane, browser, messages, open_page, picture, running_studio
+from browser_rig import Faults, Pane, browser, messages, open_page, picture, rest, running_studio
 from seams_rig import FEATHER, GARDEN, HOUSE, village
 
 from geomosaic.jobs.manifest import Layout
@@ -48,6 +49,19 @@ def pixels(project: Path) -> np.ndarray:
 def shares(file: Path) -> dict[str, Any]:
     frame = read_layer(file, "seams")
     return dict(zip(frame["image"], frame.geometry, strict=True))
+
+
+def fetched_tiles(page: Any, layer: str) -> list[list[str]]:
+    """Layer, z, x and y of tiles that are fetched from now on, until one of a layer came and no more follow."""
+    found: list[list[str]] = []
+    until = time.monotonic() + 20.0
+    while time.monotonic() < until:
+        rest(page)
+        more = [name.partition("/tiles/")[2].partition(".webp")[0].split("/") for name in page.evaluate(FETCHED)]
+        found += more
+        if not more and any(tile[0] == layer for tile in found):
+            break
+    return found
 
 
 def give_by_pointer_and_keys(page: Any, chart: Pane) -> None:
@@ -92,7 +106,7 @@ def test_a_seam_is_moved_out_of_a_house(chromium: Any, own: Path) -> None:
         expect(page.locator("#seams-photos .card")).to_have_count(2)
         page.get_by_role("button", name="See strip1_03.jpg").click()
         chart.hover(np.array(HOUSE.centroid.coords[0]))
-        page.wait_for_timeout(400)
+        rest(page)
         picture(page, "studio-seams.jpg")
         page.keyboard.press("d")
         chart.hover(np.array([GARDEN[0], 5500197.9]))
@@ -102,9 +116,8 @@ def test_a_seam_is_moved_out_of_a_house(chromium: Any, own: Path) -> None:
         page.mouse.up()
         expect(page.locator("#status")).to_contain_text("the run: done")
         expect(page.locator("#seams-file")).to_contain_text("those of seams.gpkg")
-        page.wait_for_timeout(500)
         mosaic = page.evaluate("async () => (await (await fetch('/api/project')).json()).layers[0].id")
-        loaded = [name.partition("/tiles/")[2].partition(".webp")[0].split("/") for name in page.evaluate(FETCHED)]
+        loaded = fetched_tiles(page, mosaic)
         top = max(int(z) for layer, z, _, _ in loaded if layer == mosaic)
         assert {(int(x) // 2, int(y) // 2) for layer, z, x, y in loaded if layer == mosaic and int(z) == top} == {
             (1, 0)
@@ -114,7 +127,7 @@ def test_a_seam_is_moved_out_of_a_house(chromium: Any, own: Path) -> None:
         page.locator("#seams-slider").focus()
         for _ in range(3):
             page.keyboard.press("PageUp")
-        page.wait_for_timeout(300)
+        rest(page)
         picture(page, "studio-swipe.jpg")
         page.keyboard.press("w")
         with messages(page, "taken back: seam moved"):

@@ -18,6 +18,32 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
+# `atRest()`: whether the page has no call under way and had none a moment ago. Where `longest` is above 0, calls take by
+# chance up to as many milliseconds more there, and back: newer answers may come before older ones.
+CALLS = """([seed, longest]) => {
+  let state = seed, calls = 0, last = 0;
+  const pause = () => new Promise((resolve) => {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+    setTimeout(resolve, Math.max(0, longest * (state / 2 ** 31 - 1)));
+  });
+  const { fetch } = window;
+  window.fetch = async (...words) => {
+    calls += 1;
+    try {
+      if (longest) await pause();
+      const answer = await fetch(...words);
+      if (longest) await pause();
+      return answer;
+    } finally {
+      calls -= 1;
+      last = performance.now();
+    }
+  };
+  globalThis.atRest = () => !calls && performance.now() - last > 200;
+}"""
+# A seed in the environment slows answers down; the tests must pass with any.
+SEED = os.environ.get("GEOMOSAIC_SLOW_ANSWERS", "")
+
 
 class RunningStudio:
     """A `geomosaic studio` process and the address that it printed."""
@@ -122,9 +148,16 @@ def open_page(context: Any, address: str, faults: Faults) -> Any:
 
     page = context.new_page()
     faults.watch(page)
+    page.add_init_script(f"({CALLS})({[int(SEED), 500] if SEED else [0, 0]})")
     page.goto(address)
     expect(page.locator("#status")).not_to_have_text("Opening the project …", timeout=15000)
     return page
+
+
+def rest(page: Any) -> None:
+    """Wait until the page has all its answers and has drawn them."""
+    page.wait_for_function("() => atRest()", timeout=20_000)
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
 @contextmanager

@@ -14,6 +14,17 @@ export class ServerError extends Error {
   }
 }
 
+const OWN = 3000; // milliseconds after an answer within which files that change are taken for this page's own doing
+/** @type {Set<Promise<any>>} */
+const changing = new Set(); // changes that are not answered yet
+let changedAt = -Infinity; // when the last one was answered
+
+/** Until all changes are answered that this page has asked for: what comes after them, as undo does, waits for that. */
+export const changesAnswered = () => Promise.allSettled([...changing]);
+
+/** Whether this page has asked for a change a moment ago. */
+export const hasJustChanged = () => changing.size > 0 || performance.now() - changedAt < OWN;
+
 /**
  * @param {string} path
  * @param {RequestInit} [how]
@@ -52,8 +63,15 @@ export function get(path) {
  * @param {unknown} [values] sent as JSON
  * @returns {Promise<any>}
  */
-export function send(method, path, values = {}) {
-  return call(path, { method, headers: { "content-type": "application/json" }, body: JSON.stringify(values) });
+export async function send(method, path, values = {}) {
+  const answer = call(path, { method, headers: { "content-type": "application/json" }, body: JSON.stringify(values) });
+  changing.add(answer);
+  try {
+    return await answer;
+  } finally {
+    changing.delete(answer);
+    changedAt = performance.now();
+  }
 }
 
 /** Trade the token of the address, which works once, for this browser's cookie. */

@@ -1,6 +1,6 @@
 // The page: opens the session, holds the state of the project, and joins views and panels.
 
-import { get, listen, openSession, send } from "./api.js";
+import { changesAnswered, get, hasJustChanged, listen, openSession, send } from "./api.js";
 import { baseMapLayer, showNotice } from "./base_map.js";
 import { BlockTool } from "./block/block.js";
 import { Control } from "./control/control.js";
@@ -34,8 +34,10 @@ class Studio extends EventTarget {
     /** @type {any} */
     this.project = null;
     /** @type {any} */
-    this.image = null;
-    this.imageId = ""; // that was chosen last; while the project file has an error no image is shown
+    this.image = null; // that is shown
+    /** @type {any} */
+    this.opening = null; // that was asked for last, which may be read still
+    this.imageId = ""; // of it; while the project file has an error none is shown
     this.tabs = sideTabs(TABS);
     const say = this.say.bind(this);
     this.imageView = new RasterView(byId("image-view"), say);
@@ -55,7 +57,7 @@ class Studio extends EventTarget {
     this.chosenMap = ""; // id of the raster that was chosen as the map
     /** @type {any} */
     this.mapMain = null; // raster whose CRS the map has
-    /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, `placing` while clicks are theirs, `awaits(view)` and `holds` of the keyboard's cursor */
+    /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, `placing` while clicks are theirs, `awaits(view)` and `holds` of the keyboard's cursor, `saving` while edits wait for others */
     this.tools = new Map(/** @type {[string, any][]} */ ([
       ["control", this.control],
       ["features", new Digitizing(this)],
@@ -120,8 +122,8 @@ class Studio extends EventTarget {
     this.showHistory(project.history);
     if (!before) this.chooseView(project.layers.some((/** @type {any} */ one) => one.on_map) ? (project.images.length ? "both" : "map") : "image");
     const image = [...project.images, ...project.layers].find((one) => one.id === this.imageId) ?? project.images[0] ?? null;
-    if (JSON.stringify(image) !== JSON.stringify(this.image)) await this.chooseImage(image);
-    else showImages(this.tabs.panel("images"), project.images, image?.id ?? null, (one) => this.openImage(one));
+    if (JSON.stringify(image) !== JSON.stringify(this.opening)) await this.chooseImage(image);
+    else this.#markImage(image);
     await this.showMap();
     if (!before && !errors) this.say("ready");
     this.dispatchEvent(new Event("project"));
@@ -134,19 +136,27 @@ class Studio extends EventTarget {
     this.tabs.count("steps", stale ? `${stale} stale` : "");
   }
 
+  /** @param {any} image that is marked in the list */
+  #markImage(image) {
+    showImages(this.tabs.panel("images"), this.project.images, image?.id ?? null, (one) => this.openImage(one));
+  }
+
   /**
-   * Show an image in its own pixels.
+   * Show an image in its own pixels. Until it is read the one before stays, with all that is done in it.
    * @param {any} image
    */
   async chooseImage(image) {
-    this.image = image;
+    this.opening = image;
     this.imageId ||= image?.id ?? "";
-    showImages(this.tabs.panel("images"), this.project.images, image?.id ?? null, (one) => this.openImage(one));
+    this.#markImage(image);
     if (!image) this.imageView.empty(this.project.messages.some((/** @type {any} */ one) => one.kind === "error") ? "The project file has an error" : "The project has no images");
     else if (image.error) this.imageView.empty(`${image.name}: ${image.error}`);
     else {
-      await this.attempt(() => this.imageView.showImage(image));
+      const shown = await this.attempt(() => this.imageView.showImage(image));
+      if (shown === undefined && this.opening === image) this.opening = null; // it could not be read: the next reading tries again
+      if (!shown) return;
     }
+    this.image = image;
     this.outlines?.changed();
     this.dispatchEvent(new Event("image"));
   }
@@ -165,7 +175,7 @@ class Studio extends EventTarget {
   nextImage(step) {
     const images = this.project?.images ?? [];
     if (!images.length) return;
-    const at = images.findIndex((/** @type {any} */ one) => one.id === this.image?.id);
+    const at = images.findIndex((/** @type {any} */ one) => one.id === (this.imageId || this.image?.id));
     this.openImage(images[(at + step + images.length) % images.length]);
   }
 
@@ -294,6 +304,8 @@ class Studio extends EventTarget {
   async takeBack(which) {
     if (this.tools.get(this.tab)?.takeBack?.(which)) return;
     await this.attempt(async () => {
+      await this.tools.get(this.tab)?.saving;
+      await changesAnswered();
       const done = await send("POST", `/api/${which}`);
       this.say(`${which === "undo" ? "taken back" : "done again"}: ${done.title}`);
       this.dispatchEvent(new Event("takenback"));
@@ -398,9 +410,9 @@ async function start() {
       if (event.kind === "print") studio.tools.get("sheet").showPrint(event.print);
       if (event.kind === "waiting") studio.dispatchEvent(new Event("waiting"));
       if (event.kind !== "changed") return;
+      const own = hasJustChanged() || studio.runs.atWork;
       studio.attempt(async () => {
         await studio.load();
-        const own = [...studio.tools.values(), studio.runs].some((tool) => performance.now() - (tool.savedAt ?? -Infinity) < 2000);
         if (!own && studio.project.messages.every((/** @type {any} */ one) => one.kind !== "error")) studio.say(`changed: ${event.files.slice(0, 4).join(", ")}`);
         studio.dispatchEvent(new CustomEvent("changed", { detail: event.files }));
       });

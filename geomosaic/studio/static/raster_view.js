@@ -88,11 +88,12 @@ export class RasterView {
   /**
    * Show one raster in its own pixels.
    * @param {any} layer of /api/project
+   * @returns {Promise<boolean>} whether it is shown; something else may have been asked for meanwhile
    */
   async showImage(layer) {
     const serial = ++this.serial;
     const facts = await get(`/api/raster/${layer.id}`);
-    if (serial !== this.serial) return;
+    if (serial !== this.serial) return false;
     this.pixels = true;
     this.decimals = 1;
     const extent = [0, -facts.height, facts.width, 0];
@@ -104,6 +105,7 @@ export class RasterView {
     this.overlay.textContent = "";
     this.#setView(projection, extent, 1);
     this.#watch(layer, facts, tiles, serial);
+    return true;
   }
 
   /**

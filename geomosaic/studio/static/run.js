@@ -17,13 +17,18 @@ export class Runs {
   list = element("div");
   state = "";
   serial = 0; // of the state that is shown
-  savedAt = -Infinity; // when a run was last seen at work: what changed then is its own
+  seenAt = -Infinity; // when a run was last seen at work
 
   /** @param {any} studio */
   constructor(studio) {
     this.studio = studio;
     studio.tabs.panel("steps").append(element("div", { class: "tools" }, this.stale, this.stopButton), this.stage, this.bar, this.log, this.list);
     this.show(null);
+  }
+
+  /** Whether a run is at work or was a moment ago: files that change then are its own. */
+  get atWork() {
+    return UNDER_WAY.includes(this.state) || performance.now() - this.seenAt < 2000;
   }
 
   /** Read the run anew. */
@@ -57,7 +62,7 @@ export class Runs {
     const before = this.state;
     this.state = run?.state ?? "";
     const active = UNDER_WAY.includes(this.state);
-    if (active || UNDER_WAY.includes(before)) this.savedAt = performance.now();
+    if (active || UNDER_WAY.includes(before)) this.seenAt = performance.now();
     this.stopButton.hidden = !active;
     this.stopButton.toggleAttribute("disabled", this.state === "stopping");
     this.bar.hidden = !active;

@@ -18,7 +18,6 @@ const STATES = /** @type {Record<string, string>} */ ({
 
 /** The tab of the block. */
 export class BlockTool {
-  savedAt = -Infinity; // when this page changed the project file
   placing = false; // no click of this tool places anything
   figures = element("div", { id: "block-figures" });
   stale = element("div", { id: "block-stale", "aria-live": "polite" });
@@ -161,7 +160,6 @@ export class BlockTool {
   /** @param {string} name of an image that is commented out */
   async #takeBack(name) {
     await this.studio.attempt(async () => {
-      this.savedAt = performance.now();
       this.studio.showHistory((await send("POST", "/api/block/commented", { name })).history);
       await this.studio.load();
       this.studio.say(`${name} taken back; Ctrl Z leaves it out again`);
@@ -273,7 +271,6 @@ export class BlockTool {
    */
   async setAside(image, aside) {
     await this.studio.attempt(async () => {
-      this.savedAt = performance.now();
       const { history } = await send("POST", `/api/block/${image.id}/aside`, { aside });
       this.studio.showHistory(history);
       await this.studio.load();

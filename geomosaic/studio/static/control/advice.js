@@ -28,6 +28,7 @@ export class Advice {
       control.render();
       return;
     }
+    if (!control.state) return control.studio.say("the points of the image are still being read", true);
     const asked = ++this.asked;
     await control.studio.attempt(async () => {
       const facts = await get(`/api/control/${control.studio.image.id}/next?${control.query()}`);

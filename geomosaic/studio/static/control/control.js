@@ -34,7 +34,6 @@ export class Control {
     this.selected = null;
     this.open = false;
     this.serial = 0;
-    this.savedAt = -Infinity; // when this page changed the table
     this.panes = new Panes(this);
     this.placement = new Placement(this);
     this.advice = new Advice(this);
@@ -117,10 +116,7 @@ export class Control {
     }
     const address = `/api/control/${image.id}${path}?${this.query()}`;
     let state;
-    if (method !== "GET") {
-      this.advice.clear();
-      this.savedAt = performance.now();
-    }
+    if (method !== "GET") this.advice.clear();
     try {
       state = method === "GET" ? await get(address) : await send(method, address, values);
     } catch (error) {
@@ -264,7 +260,6 @@ export class Control {
       const made = await send("POST", `/api/control/${this.studio.image.id}/georeference?${this.query()}`, { overwrite: Boolean(this.state?.written) });
       await this.studio.load();
       await this.load();
-      this.savedAt = performance.now();
       this.studio.say(`${made.file} written: ${made.model}, ${made.points} points, RMS ${shown(made.rms, 2)} px`);
     });
   }

@@ -127,9 +127,9 @@ export class Placement {
    * @param {"match" | "mark"} way
    */
   async measure(way) {
-    const { control, draft } = this;
+    const { control, draft, on } = this;
     const chosen = control.chosen;
-    const opened = this.studio.image.id;
+    const opened = this.studio.image?.id;
     const image = this.draft.image ?? this.expected.image ?? (chosen ? [chosen.col, chosen.row] : null);
     const map = this.draft.map ?? chosen?.on_map ?? null;
     let body;
@@ -143,9 +143,9 @@ export class Placement {
     }
     await this.studio.attempt(async () => {
       const found = await send("POST", `/api/control/${opened}/measure?${control.query()}`, body);
-      if (draft !== this.draft || opened !== this.studio.image?.id) return;
+      if (opened !== this.studio.image?.id || (on && draft !== this.draft)) return;
       this.studio.say(`${way === "match" ? "matched" : "centred"} at col ${shown(found.col, 2)}, row ${shown(found.row, 2)}, ± ${shown(found.sigma, 3)} px`);
-      if (this.on) await this.setHalf("image", [found.col, found.row]);
+      if (on) await this.setHalf("image", [found.col, found.row]);
       else if (chosen) await control.change(chosen.id, { col: found.col, row: found.row });
     });
   }

@@ -60,10 +60,10 @@ export class Digitizing {
   /** @type {any} */
   layer = null; // that is open, with its features
   layerId = "";
+  imageId = ""; // of the image that was open last
   wanted = ""; // id of the layer that was chosen last; a file that is being written may be missing for a moment
   /** @type {number | null} */
   selected = null;
-  savedAt = -Infinity; // when this page changed a file
   serial = 0;
   reading = Promise.resolve();
   choice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-layer", onchange: () => { this.wanted = this.choice.value; this.selected = null; this.setMode("choose"); this.load(); } }));
@@ -98,7 +98,7 @@ export class Digitizing {
       element("div", { class: "tools" }, this.kindChoice, this.drawButton, this.moveButton), this.hint,
       element("div", { class: "tools" }, snap, shared, trace), this.waiting.list, this.notes, this.pointer.figures, this.form.box,
     );
-    studio.addEventListener("image", () => this.open && this.load());
+    studio.addEventListener("image", () => this.open && this.#openImage());
     studio.addEventListener("project", () => this.open && this.load());
     studio.addEventListener("waiting", () => this.open && this.load());
   }
@@ -171,6 +171,14 @@ export class Digitizing {
     if (which !== "undo" || !this.sketch.going) return false;
     this.sketch.takeBack();
     return true;
+  }
+
+  /** Show the features in the image that was opened; what was being drawn in the one before waits to be gone on with there. */
+  #openImage() {
+    const id = this.studio.image?.id ?? "";
+    if (this.image.sketched.length && id !== this.imageId) this.setMode(this.mode);
+    this.imageId = id;
+    this.load();
   }
 
   /** Read the layers, and the features of the one that is open, anew; another reading that comes meanwhile is waited for. */
@@ -266,7 +274,7 @@ export class Digitizing {
     const able = this.open && this.layer && !this.layer.fixed;
     const left = this.sketch.going; // what was drawn stays to be gone on with
     this.mode = able ? mode : "choose";
-    this.sketch.going = false;
+    if (left) this.sketch.leave();
     for (const side of [this.image, this.map]) {
       side.stop();
       if (!side.view.home) continue;

@@ -17,15 +17,17 @@ export class Edits {
    * @param {any} geometry
    */
   async finish(side, kind, geometry) {
-    this.tool.sketch.going = false;
+    const { sketch } = this.tool, key = sketch.leave();
+    const place = this.#place(side); // while it is saved another image may be opened
     const places = kind === "Polygon" ? geometry.getCoordinates()[0].slice(0, -1) : kind === "LineString" ? geometry.getCoordinates() : [];
-    await this.tool.sketch.sending;
-    const made = await this.tool.studio.attempt(() => this.#edit(side, [{ id: null, geometry: side.write(geometry) }]));
+    await sketch.sending;
+    const made = await this.tool.studio.attempt(() => this.#edit(place, [{ id: null, geometry: side.write(geometry) }], key));
     if (made) {
       this.tool.selected = made.ids[0];
+      this.tool.form.waiting = side.view.canvas;
       await this.tool.load();
-      this.tool.form.focus(side.view.canvas);
-    } else if (places.length) {
+    } else if (places.length && !sketch.going) {
+      sketch.key = key;
       if (this.tool.mode !== "draw") this.tool.setMode("draw");
       side.extend(places.map((/** @type {number[]} */ at) => side.place(at)));
     }
@@ -42,7 +44,7 @@ export class Edits {
       const same = before && JSON.stringify(vertices(one.getGeometry())) === JSON.stringify(vertices(side.read(before[side.name])));
       return same ? [] : [{ id: one.getId(), stamp: one.get("stamp"), geometry: side.write(one.getGeometry()) }];
     });
-    if (changes.length) await this.tool.studio.attempt(() => this.#edit(side, changes));
+    if (changes.length) await this.tool.studio.attempt(() => this.#edit(this.#place(side), changes));
     await this.tool.load();
   }
 
@@ -53,7 +55,7 @@ export class Edits {
   async setValues(values) {
     const { chosen } = this.tool;
     if (!chosen) return;
-    await this.tool.studio.attempt(() => this.#edit(this.tool.map, [{ id: chosen.id, stamp: chosen.stamp, values }]));
+    await this.tool.studio.attempt(() => this.#edit(this.#place(this.tool.map), [{ id: chosen.id, stamp: chosen.stamp, values }]));
     await this.tool.load();
   }
 
@@ -61,18 +63,25 @@ export class Edits {
   async remove() {
     const { chosen } = this.tool;
     if (!chosen) return this.tool.studio.say("choose a feature first", true);
-    await this.tool.studio.attempt(() => this.#edit(this.tool.map, [{ id: chosen.id, stamp: chosen.stamp, remove: true }]));
+    await this.tool.studio.attempt(() => this.#edit(this.#place(this.tool.map), [{ id: chosen.id, stamp: chosen.stamp, remove: true }]));
     return this.tool.load();
   }
 
   /**
-   * @param {any} side whose coordinates the changes have
-   * @param {any[]} changes
+   * Layer that is open, and the picture whose coordinates changes have.
+   * @param {any} side
    */
-  async #edit(side, changes) {
-    this.tool.savedAt = performance.now();
-    const where = side.name === "image" ? { image: this.tool.studio.image.id } : { map_layer: this.tool.mapId };
-    const made = await send("POST", `/api/features/layers/${this.tool.layerId}/edits`, { changes, ...where, shared: this.tool.sharedBox.checked, page: this.tool.sketch.page });
+  #place(side) {
+    return { layer: this.tool.layerId, picture: side.name === "image" ? { image: this.tool.studio.image.id } : { map_layer: this.tool.mapId } };
+  }
+
+  /**
+   * @param {{layer: string, picture: any}} place
+   * @param {any[]} changes
+   * @param {string} [page] key of the sketch that is saved with them
+   */
+  async #edit({ layer, picture }, changes, page) {
+    const made = await send("POST", `/api/features/layers/${layer}/edits`, { changes, ...picture, shared: this.tool.sharedBox.checked, page });
     this.tool.studio.say([made.title, ...made.notes].join("; "), made.notes.length > 0);
     return made;
   }

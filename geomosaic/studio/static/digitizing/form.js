@@ -26,15 +26,20 @@ export class FeatureForm {
     this.shown = "";
     /** @type {HTMLElement} where keys are again after the form */
     this.canvas = tool.map.view.canvas;
+    /** @type {HTMLElement | null} picture in which a feature was drawn whose attributes get the keys once they are shown */
+    this.waiting = null;
     this.box.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.#key(event));
   }
 
   /**
-   * Go to the first attribute; Enter saves it and goes back to the picture, Escape goes back without it.
-   * @param {HTMLElement} canvas of the picture
+   * Go to the first attribute of what was drawn; Enter saves it and goes back to the picture, Escape goes back without it.
+   * The keys stay where somebody draws already, or has gone to.
    */
-  focus(canvas) {
-    this.canvas = canvas;
+  #takeKeys() {
+    const { waiting } = this;
+    this.waiting = null;
+    if (!waiting || this.tool.sketch.going || ![waiting, document.body].includes(/** @type {any} */ (document.activeElement))) return;
+    this.canvas = waiting;
     /** @type {HTMLElement | null} */ (this.box.querySelector("input"))?.focus();
   }
 
@@ -49,8 +54,13 @@ export class FeatureForm {
   }
 
   render() {
+    this.#render();
+    this.#takeKeys();
+  }
+
+  #render() {
     const { layer, chosen } = this.tool;
-    const key = JSON.stringify([layer?.id, layer?.fields, chosen]);
+    const key = JSON.stringify([layer?.id, layer?.fields, chosen && { ...chosen, image: null, map: null, drawn: null }]);
     if (key === this.shown) return; // what is being written stays
     const focused = /** @type {HTMLInputElement | null} */ (this.box.contains(document.activeElement) ? document.activeElement : null)?.name;
     this.shown = key;

@@ -40,7 +40,6 @@ export class LayerForm {
     const fields = [...this.fields.children].map((row) => ({ name: row.querySelector("input")?.value.trim() ?? "", kind: row.querySelector("select")?.value })).filter((one) => one.name);
     await tool.studio.attempt(async () => {
       const made = await send("POST", "/api/features/layers", { name: this.name.value, kind: this.kind.value, crs: this.crs.value, map_layer: tool.mapId, fields });
-      tool.savedAt = performance.now();
       tool.wanted = made.id;
       tool.studio.say(`${this.name.value.trim()}.gpkg created`);
       this.name.value = "";

@@ -2,9 +2,11 @@
 
 import { send } from "../api.js";
 
+const newKey = () => Math.random().toString(36).slice(2, 12);
+
 /** Sketch of this page, of which a picture has the line. */
 export class Sketch {
-  page = Math.random().toString(36).slice(2, 12); // names this page's sketch
+  key = newKey(); // of what is being drawn
   going = false; // whether something is being drawn
   sending = Promise.resolve();
 
@@ -26,6 +28,17 @@ export class Sketch {
     if (places.length) this.#send(drawn);
   }
 
+  /**
+   * Draw it no longer: it is kept until it is saved, gone on with or dropped, and the next sketch is another one.
+   * @returns {string} its key
+   */
+  leave() {
+    const { key } = this;
+    this.going = false;
+    this.key = newKey();
+    return key;
+  }
+
   /** Forget what was being drawn. */
   drop() {
     this.going = false;
@@ -42,7 +55,8 @@ export class Sketch {
 
   /** @param {any} drawn in the order in which it was drawn */
   #send(drawn) {
-    this.sending = this.sending.then(async () => { await this.tool.studio.attempt(() => send("PUT", "/api/features/sketch", { page: this.page, drawn })); });
+    const page = this.key;
+    this.sending = this.sending.then(async () => { await this.tool.studio.attempt(() => send("PUT", "/api/features/sketch", { page, drawn })); });
   }
 
   /**
@@ -62,7 +76,7 @@ export class Sketch {
     }
     tool.setMode("draw");
     tool[/** @type {"image" | "map"} */ (drawn.side)].extend(drawn.coordinates);
-    if (key !== this.page) await send("PUT", "/api/features/sketch", { page: key, drawn: null });
+    await send("PUT", "/api/features/sketch", { page: key, drawn: null });
     tool.overview.sketches = {};
     tool.waiting.render();
     studio.say("go on with the next vertex");

@@ -24,7 +24,6 @@ const KINDS = /** @type {Record<string, string>} */ ({ redraw: "LineString", cut
 export class Seams {
   open = false;
   mode = "look";
-  savedAt = -Infinity; // when this page changed a file
   serial = 0;
   /** @type {any} */
   state = null;
@@ -321,7 +320,6 @@ export class Seams {
    * @param {string} done what is said
    */
   #edit(act, values, done) {
-    this.savedAt = performance.now();
     return this.studio.attempt(async () => {
       const serial = ++this.serial;
       const state = await send("POST", `/api/seams/${act}`, values);

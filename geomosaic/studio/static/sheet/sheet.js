@@ -31,7 +31,6 @@ export class SheetTool {
   drawing = false;
   again = false;
   saving = Promise.resolve(); // edits are saved in their order
-  savedAt = -Infinity; // when this page changed a layout
   /** @type {any} */
   refused = null; // what was wrong with the last edit, until the next one
 
@@ -93,7 +92,6 @@ export class SheetTool {
   async create() {
     await this.studio.attempt(async () => {
       const made = await send("POST", "/api/sheets", { name: this.name.value });
-      this.savedAt = performance.now();
       this.name.value = "";
       this.layout = made.id;
       this.studio.showHistory(made.history);
@@ -134,7 +132,6 @@ export class SheetTool {
   async #save(layout, edits, title) {
     try {
       const { history } = await send("PATCH", `/api/sheets/${layout}`, { edits, title });
-      this.savedAt = performance.now();
       this.refused = null;
       this.studio.say(title);
       this.studio.showHistory(history);
