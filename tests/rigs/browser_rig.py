@@ -18,8 +18,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
-# `atRest()`: whether the page has no call under way and had none a moment ago. Where `longest` is above 0, calls take by
-# chance up to as many milliseconds more there, and back: newer answers may come before older ones.
+# `atRest()`: whether the page has no call under way and had none a moment ago. Calls take by chance up to `longest`
+# milliseconds more there, and back: newer answers may come before older ones.
 CALLS = """([seed, longest]) => {
   let state = seed, calls = 0, last = 0;
   const pause = () => new Promise((resolve) => {
