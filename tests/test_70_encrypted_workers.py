@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import rasterio
 from cli_rig import PHOTOS
-from worker_rig import cluster
+from worker_rig import certificates, cluster
 
 pytestmark = [
     pytest.mark.ci,
@@ -25,25 +25,6 @@ BLOCK = [
     "--camera", str(SAMPLE / "camera.toml"), "--exterior", str(SAMPLE / "exterior.csv"), "--crs", "EPSG:32633",
     "--dem", str(SAMPLE / "dem.tif"), "--res", "1", "--seams", "halve", "--no-records",
 ]  # fmt: skip
-
-
-def certificates(folder: Path) -> dict[str, str]:
-    """Certificate of all parts of a cluster, of an authority of its own, as variables of Dask's configuration."""
-    folder.mkdir()
-    key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
-    for words in (
-        ["req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-days", "1", "-subj", "/CN=authority"],
-        ["req", *key, "-keyout", "key.pem", "-out", "request.pem", "-subj", "/CN=geomosaic"],
-        ["x509", "-req", "-in", "request.pem", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "1",
-         "-out", "cert.pem"],
-    ):  # fmt: skip
-        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
-    prefix = "DASK_DISTRIBUTED__COMM__TLS__"
-    own = {
-        f"{prefix}{who}__{kind.upper()}": str(folder / f"{kind}.pem")
-        for who in ("CLIENT", "SCHEDULER", "WORKER") for kind in ("cert", "key")
-    }  # fmt: skip
-    return {**own, f"{prefix}CA_FILE": str(folder / "ca.pem")}
 
 
 def mosaic(out: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:

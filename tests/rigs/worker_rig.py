@@ -120,6 +120,25 @@ def cluster(
             process.wait()
 
 
+def certificates(folder: Path) -> dict[str, str]:
+    """Certificate of all parts of a cluster, of an authority of its own, as variables of Dask's configuration."""
+    folder.mkdir()
+    key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
+    for words in (
+        ["req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-days", "1", "-subj", "/CN=authority"],
+        ["req", *key, "-keyout", "key.pem", "-out", "request.pem", "-subj", "/CN=geomosaic"],
+        ["x509", "-req", "-in", "request.pem", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "1",
+         "-out", "cert.pem"],
+    ):  # fmt: skip
+        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+    prefix = "DASK_DISTRIBUTED__COMM__TLS__"
+    own = {
+        f"{prefix}{who}__{kind.upper()}": str(folder / f"{kind}.pem")
+        for who in ("CLIENT", "SCHEDULER", "WORKER") for kind in ("cert", "key")
+    }  # fmt: skip
+    return {**own, f"{prefix}CA_FILE": str(folder / "ca.pem")}
+
+
 def small_block(folder: Path, strips: int, each: int) -> gm.Block:
     """Block of small synthetic photos, 60 and 30 % overlap, whose orientation is known."""
     from scenery import Scenery
