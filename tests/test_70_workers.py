@@ -52,7 +52,7 @@ def client(tmp_path_factory) -> Iterator[Any]:
 
     with (
         dask.config.set(temporary_directory=str(tmp_path_factory.mktemp("dask"))),
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         yield client
