@@ -241,6 +241,16 @@ def test_edits_of_others_are_kept_and_seen(client: TestClient, scan: ScanProject
     state = client.get(f"/api/control/{image}").json()
     assert [point["id"] for point in state["points"]] == ["1", "2", "3", "four"]
     assert client.post("/api/undo").status_code == 422
+    first, second = (state["points"][index] for index in (0, 1))
+    address, told = f"/api/control/{image}/points/1", {"was": [first["col"], first["row"]]}
+    assert client.patch(address, json={"enabled": False, "was": [second["col"], second["row"]]}).status_code == 422
+    assert client.patch(address, json={"col": first["col"] + 1.0, **told}).status_code == 200
+    for answer in (
+        client.patch(address, json={"enabled": False, **told}),
+        client.request("DELETE", address, json=told),
+    ):
+        assert answer.status_code == 422
+        assert "point '1' is not where it was" in answer.json()["what"]
     client.patch(f"/api/control/{image}/points/four", json={"role": "check"})
     assert "# by hand" in scan.table.read_text()
     assert client.get(f"/api/control/{image}").json()["points"][3]["state"] == "check"

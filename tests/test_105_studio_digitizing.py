@@ -159,7 +159,10 @@ def test_a_shared_corner_moves_for_both_neighbours_in_one_edit_that_undo_takes_b
             json.dumps(each["map"]).replace(json.dumps([X + 100, Y + 50]), json.dumps([X + 120, Y + 60])))}
         for each in (one, two)
     ]  # fmt: skip
-    assert desk.edit(fields, *change, shared=True).json()["title"] == "2 features of fields changed"
+    answer = desk.edit(fields, *change, shared=True).json()
+    assert answer["title"] == "2 features of fields changed"
+    now = {each["id"]: each["stamp"] for each in desk.layer(fields)["features"]}
+    assert answer["stamps"] == [[each["id"], each["stamp"], now[each["id"]]] for each in (one, two)]
     first, second = geopandas.read_file(desk.folder / "fields.gpkg").geometry
     assert first.intersection(second).area == 0.0
     assert first.boundary.intersection(second.boundary).length == pytest.approx(np.hypot(20.0, 40.0))
@@ -187,9 +190,11 @@ def test_attributes_have_their_declared_types_and_markup_is_text(desk: Desk) -> 
     made = desk.drawn(roads, line(road()))
     script = "<img src=x onerror=alert(1)>'; DROP TABLE roads; --"
     values = {"name": script, "lanes": 2, "paved": True, "seen": "2026-11-24", "width": 6.5}
-    assert desk.edit(roads, {"id": made["id"], "stamp": made["stamp"], "values": values}).status_code == 200
+    answer = desk.edit(roads, {"id": made["id"], "stamp": made["stamp"], "values": values})
+    assert answer.status_code == 200
     (made,) = desk.layer(roads)["features"]
     assert made["values"] == values
+    assert answer.json()["stamps"][0][2] == made["stamp"]
     kept = geopandas.read_file(desk.folder / "roads.gpkg").iloc[0]
     assert (kept["name"], kept["lanes"], kept["width"]) == (script, 2, 6.5)
     for wrong in (

@@ -65,7 +65,11 @@ def test_edits_keep_comments_and_order_and_are_undone(client: Any, project: Path
     ]  # fmt: skip
     for comment in ("# made by hand", "# what stands above the map", "# roads last"):
         assert comment in file.read_text()
-    for _ in range(4):
+    # What was meant for a layer that is elsewhere by now is not done to another one.
+    for edit in ({"layer": "remove"}, {"table": "layer", "key": "title", "value": "Roads"}):
+        assert change({**edit, "index": 0, "of": ["rivers.gpkg", None]}).status_code == 422
+    assert change({"layer": "remove", "index": 0, "of": ["roads.gpkg", None]}).status_code == 200
+    for _ in range(5):
         assert client.post("/api/undo").status_code == 200
     assert file.read_text() == LAYOUT
 

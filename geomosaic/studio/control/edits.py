@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geomosaic.control.edit import ControlText
+from geomosaic.control.edit import ControlText, TableRow
 from geomosaic.errors import InputError
 from geomosaic.geo.crs import has_heights, horizontal
 from geomosaic.studio.control.places import ground_under, map_frame
@@ -69,25 +69,25 @@ class TableEdits:
         ----------
         layer, name : str
         values : mapping
-            Any of those of `add`, and `enabled`.
+            Any of those of `add`, `enabled`, and `was`: column and row of the point as it was told.
         """
         station = self._stations.find(layer)
         with self._workspace.history.lock:
             text = text_of(station.table)
             table = ControlText.of(text)
-            row = row_of(table, station, name)
+            row = _row(table, station, name, values)
             fields = self._fields(station, table, values)
             if not fields:
                 raise InputError("nothing is to be changed", hint="give col, row, x, y, role or enabled")
             self._save(_edit_title(name, fields), station, text, table.with_row(row.line, fields))
 
-    def remove(self, layer: str, name: str) -> None:
-        """Take a point out of the image's table."""
+    def remove(self, layer: str, name: str, values: Mapping[str, Any]) -> None:
+        """Take a point out of the image's table; `was` as for `change`."""
         station = self._stations.find(layer)
         with self._workspace.history.lock:
             text = text_of(station.table)
             table = ControlText.of(text)
-            row = row_of(table, station, name)
+            row = _row(table, station, name, values)
             self._save(f"point {name} taken out of {station.path.name}", station, text, table.without_row(row.line))
 
     def _fields(self, station: Station, table: ControlText, values: Mapping[str, Any]) -> dict[str, str]:
@@ -121,6 +121,16 @@ class TableEdits:
 
     def _save(self, title: str, station: Station, before: str | None, table: ControlText) -> None:
         self._workspace.history.save(title, {station.table: before}, {station.table: table.text})
+
+
+def _row(table: ControlText, station: Station, name: str, values: Mapping[str, Any]) -> TableRow:
+    """Row of a point, where it is still the one that was told: names come again, and those of QGIS are row numbers."""
+    row = row_of(table, station, name)
+    if "was" in values and values["was"] != [float(row.values["col"]), float(row.values["row"])]:
+        raise InputError(
+            f"point '{name}' is not where it was: nothing was changed", hint="look where it is now, and repeat the edit"
+        )
+    return row
 
 
 def _free_name(taken: set[str]) -> str:

@@ -39,7 +39,7 @@ def control_routes(desk: ControlDesk) -> list[Route]:
 
     def edited(act: Callable[[str, str, Mapping[str, Any]], Any]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
-            values = await body_of(request) if request.method != "DELETE" else {}
+            values = await body_of(request) if await request.body() else {}
             image, point = request.path_params["image"], request.path_params.get("point", "")
             await run_in_threadpool(act, image, point, values)
             return answer(await run_in_threadpool(state, request))
@@ -55,7 +55,7 @@ def control_routes(desk: ControlDesk) -> list[Route]:
 
     edits = desk.edits
     add = edited(lambda image, _, values: edits.add(image, values))
-    remove = edited(lambda image, point, _: edits.remove(image, point))
+    remove = edited(lambda image, point, values: edits.remove(image, point, values))
     image = "/api/control/{image}"
     return [
         Route(image, reading(state)),

@@ -12,7 +12,7 @@ from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.crs import crs_name, parse_map
 from geomosaic.monoplotting.pictures import Picture
 from geomosaic.raster.attributes import KINDS
-from geomosaic.studio.digitizing.edits import changes_of, title_of
+from geomosaic.studio.digitizing.edits import changes_of, stamps, title_of
 from geomosaic.studio.digitizing.layers import layer_by_id, layer_crs, layers_of, made_layer
 from geomosaic.studio.digitizing.pictures import FeaturePictures
 from geomosaic.studio.digitizing.shown import ShownFeatures, wrong_outline
@@ -120,7 +120,7 @@ class FeatureDesk:
         Returns
         -------
         dict
-            `ids` of the features, and `notes`.
+            `ids` of the features, `title` and `notes`, and `stamps`: id, stamp before and stamp after of those changed.
         """
         file = layer_by_id(self._workspace.feature_files(), layer)
         with self._workspace.history.lock:
@@ -134,7 +134,7 @@ class FeatureDesk:
                 share=bool(values.get("shared")),
             )
             if not changes:
-                return {"ids": [], "notes": ["nothing was changed"]}
+                return {"ids": [], "title": "", "notes": ["nothing was changed"], "stamps": []}
             title = title_of(changes, file.name)
             self._workspace.history.make(FeatureEdit(self.store, title, file.path, file.name, tuple(changes)))
             if isinstance(values.get("page"), str):
@@ -144,7 +144,9 @@ class FeatureDesk:
                 notes.append(f"feature {change.id}: {why}")
         if self.store.pending:
             notes.append("saved in the journal; not in the GeoPackage yet")
-        return {"ids": [change.id for change in changes], "title": title, "notes": notes}
+        kept = [(one.id, one.before, one.after) for one in changes if one.before and one.after]
+        marks = [(key, *stamps([before, after])) for key, before, after in kept]
+        return {"ids": [change.id for change in changes], "title": title, "notes": notes, "stamps": marks}
 
     def sketch(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Keep what a page is drawing; nothing is answered.

@@ -152,7 +152,8 @@ def edited(text: str, edit: Mapping[str, Any]) -> str:
         Valid TOML.
     edit : mapping
         `table` and `key` with a `value`, None for the default; for the list of layers `table = "layer"` and its
-        `index`; or `layer` = 'add' with a `file`, 'remove' or 'move' with `index` (and `to`).
+        `index`; or `layer` = 'add' with a `file`, 'remove' or 'move' with `index` (and `to`). With `of`, `file` and
+        `layer` of the layer as it was told, another one at that index is not touched.
 
     Raises
     ------
@@ -175,7 +176,7 @@ def edited(text: str, edit: Mapping[str, Any]) -> str:
 def _set(document: Any, edit: Mapping[str, Any]) -> None:
     table, key, value = str(edit.get("table", "")), str(edit.get("key", "")), edit.get("value")
     if table == "layer":
-        set_key(_layer(document, edit.get("index")), (), key, value)
+        set_key(_layer(document, edit), (), key, value)
     else:
         set_key(document, (table,), key, value)
 
@@ -192,7 +193,7 @@ def _edit_layers(document: Any, edit: Mapping[str, Any]) -> None:
             new.append(entry)
             document.append("layer", new)
         return
-    _layer(document, edit.get("index"))
+    _layer(document, edit)
     place = int(edit["index"])
     if act == "remove":
         del layers[place]
@@ -210,11 +211,14 @@ def _edit_layers(document: Any, edit: Mapping[str, Any]) -> None:
         raise InputError(f"'{act}' is no edit of layers", hint="add, remove or move")
 
 
-def _layer(document: Any, index: Any) -> Any:
-    layers = document.get("layer") or ()
+def _layer(document: Any, edit: Mapping[str, Any]) -> Any:
+    layers, index = document.get("layer") or (), edit.get("index")
     if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(layers):
         raise InputError("the layout has no such layer", hint="load the page again")
-    return layers[index]
+    found = layers[index]
+    if "of" in edit and edit["of"] != [found.get("file"), found.get("layer")]:
+        raise InputError("the layers have changed meanwhile", hint="look at them, and repeat the edit")
+    return found
 
 
 def read(path: Path) -> str:

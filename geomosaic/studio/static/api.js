@@ -15,15 +15,16 @@ export class ServerError extends Error {
 }
 
 const OWN = 3000; // milliseconds after an answer within which files that change are taken for this page's own doing
-/** @type {Set<Promise<any>>} */
-const changing = new Set(); // changes that are not answered yet
+let changing = 0; // changes that are not answered yet
 let changedAt = -Infinity; // when the last one was answered
+/** @type {Promise<any>} */
+let edited = Promise.resolve(); // all edits that were asked for
 
-/** Until all changes are answered that this page has asked for: what comes after them, as undo does, waits for that. */
-export const changesAnswered = () => Promise.allSettled([...changing]);
+/** Until all edits are made that this page has asked for: what is made of the files waits for that. */
+export const editsMade = () => edited;
 
 /** Whether this page has asked for a change a moment ago. */
-export const hasJustChanged = () => changing.size > 0 || performance.now() - changedAt < OWN;
+export const hasJustChanged = () => changing > 0 || performance.now() - changedAt < OWN;
 
 /**
  * @param {string} path
@@ -64,14 +65,26 @@ export function get(path) {
  * @returns {Promise<any>}
  */
 export async function send(method, path, values = {}) {
-  const answer = call(path, { method, headers: { "content-type": "application/json" }, body: JSON.stringify(values) });
-  changing.add(answer);
+  changing += 1;
   try {
-    return await answer;
+    return await call(path, { method, headers: { "content-type": "application/json" }, body: JSON.stringify(values) });
   } finally {
-    changing.delete(answer);
+    changing -= 1;
     changedAt = performance.now();
   }
+}
+
+/**
+ * Answer to an edit, undo among them. Edits are made in the order in which they were asked for, each once those before it are answered.
+ * @param {string} method
+ * @param {string} path
+ * @param {(() => unknown) | {}} [values] sent as JSON; a function gives them as late as they are sent
+ * @returns {Promise<any>}
+ */
+export function edit(method, path, values = {}) {
+  const answer = edited.then(() => send(method, path, typeof values === "function" ? values() : values));
+  edited = answer.catch(() => {}); // who asked is told
+  return answer;
 }
 
 /** Trade the token of the address, which works once, for this browser's cookie. */

@@ -1,6 +1,6 @@
 // The page: opens the session, holds the state of the project, and joins views and panels.
 
-import { changesAnswered, get, hasJustChanged, listen, openSession, send } from "./api.js";
+import { edit, get, hasJustChanged, listen, openSession } from "./api.js";
 import { baseMapLayer, showNotice } from "./base_map.js";
 import { BlockTool } from "./block/block.js";
 import { Control } from "./control/control.js";
@@ -36,7 +36,7 @@ class Studio extends EventTarget {
     /** @type {any} */
     this.image = null; // that is shown
     /** @type {any} */
-    this.opening = null; // that was asked for last, which may be read still
+    this.opening = null; // that was asked for last, which may be read still; the one that is shown where it could not be read
     this.imageId = ""; // of it; while the project file has an error none is shown
     this.tabs = sideTabs(TABS);
     const say = this.say.bind(this);
@@ -57,7 +57,7 @@ class Studio extends EventTarget {
     this.chosenMap = ""; // id of the raster that was chosen as the map
     /** @type {any} */
     this.mapMain = null; // raster whose CRS the map has
-    /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, `placing` while clicks are theirs, `awaits(view)` and `holds` of the keyboard's cursor, `saving` while edits wait for others */
+    /** @type {Map<string, any>} tools by their tab: `show(on)`, `keys`, `placing` while clicks are theirs, `awaits(view)` and `holds` of the keyboard's cursor, `saving` while an edit waits for what is measured */
     this.tools = new Map(/** @type {[string, any][]} */ ([
       ["control", this.control],
       ["features", new Digitizing(this)],
@@ -122,8 +122,12 @@ class Studio extends EventTarget {
     this.showHistory(project.history);
     if (!before) this.chooseView(project.layers.some((/** @type {any} */ one) => one.on_map) ? (project.images.length ? "both" : "map") : "image");
     const image = [...project.images, ...project.layers].find((one) => one.id === this.imageId) ?? project.images[0] ?? null;
-    if (JSON.stringify(image) !== JSON.stringify(this.opening)) await this.chooseImage(image);
-    else this.#markImage(image);
+    const facts = (/** @type {any} */ one) => JSON.stringify(one && [one.id, one.version, one.error]);
+    if (facts(image) !== facts(this.opening)) await this.chooseImage(image);
+    else {
+      if (this.image === this.opening) this.image = this.opening = image; // others of its facts need no new picture
+      this.#markImage(image);
+    }
     await this.showMap();
     if (!before && !errors) this.say("ready");
     this.dispatchEvent(new Event("project"));
@@ -153,12 +157,19 @@ class Studio extends EventTarget {
     else if (image.error) this.imageView.empty(`${image.name}: ${image.error}`);
     else {
       const shown = await this.attempt(() => this.imageView.showImage(image));
-      if (shown === undefined && this.opening === image) this.opening = null; // it could not be read: the next reading tries again
+      if (shown === undefined && this.opening === image) this.#stay();
       if (!shown) return;
     }
     this.image = image;
     this.outlines?.changed();
     this.dispatchEvent(new Event("image"));
+  }
+
+  /** Stay with the image that is shown; where there is none, the next reading of the project tries again. */
+  #stay() {
+    this.opening = this.image;
+    if (this.image) this.imageId = this.image.id;
+    this.#markImage(this.image);
   }
 
   /**
@@ -199,8 +210,11 @@ class Studio extends EventTarget {
     const old = new Map(this.entries.map((one) => [one.layer.id, one.layer]));
     /** @type {[any, any, string][]} */
     const renewed = [];
-    this.entries = [];
+    /** @type {{layer: any, drawn: any, why: string | null}[]} */
+    let entries = []; // those before stay until these are there
+    const moved = this.mapMain && this.mapMain.map_crs !== main?.map_crs;
     this.mapMain = main ?? null;
+    if (moved) this.dispatchEvent(new Event("crs")); // places of the map are no longer what they were
     if (main) {
       const projection = stays ? this.mapView.map.getView().getProjection() : this.mapView.startMap(main, main.crs_name ?? "Map");
       for (const layer of layers) {
@@ -208,25 +222,38 @@ class Studio extends EventTarget {
         const shown = stays && same(old.get(layer.id), layer) ? before.get(layer.id) : null;
         if (shown && old.get(layer.id).version !== layer.version) renewed.push([shown, layer, old.get(layer.id).version]);
         const drawn = shown ?? (onMap ? await this.attempt(() => this.mapView.mapLayer(layer, projection)) : null);
-        const why = layer.error ?? (layer.on_map ? "in another CRS than the map" : "not north up, or without a georeference");
-        drawn?.setVisible(before.get(layer.id)?.getVisible() ?? layer === main);
-        drawn?.setOpacity(before.get(layer.id)?.getOpacity() ?? 1);
-        this.entries.push({ layer, drawn: drawn ?? null, why });
+        const why = layer.error ?? (onMap ? "it could not be read" : layer.on_map ? "in another CRS than the map" : "not north up, or without a georeference");
+        if (onMap && !drawn) this.mapKey = ""; // the next reading of the project tries again
+        entries.push({ layer, drawn: drawn ?? null, why });
       }
       const base = stays ? this.baseMap : await this.attempt(() => baseMapLayer(main, projection, (text, bad) => this.say(text, bad)));
+      // What was switched while all this was read counts.
+      for (const { layer, drawn } of entries) {
+        drawn?.setVisible(before.get(layer.id)?.getVisible() ?? layer === main);
+        drawn?.setOpacity(before.get(layer.id)?.getOpacity() ?? 1);
+      }
       base?.drawn.setVisible(before.get("base")?.getVisible() ?? false);
       this.baseMap = base ?? null;
-      if (this.baseMap) this.entries.push(this.baseMap);
+      if (this.baseMap) entries.push(this.baseMap);
       showNotice(this.mapView, this.baseMap);
       const order = ["dem", "reference", "ortho", "mosaic", "before", "sheet"];
-      const sorted = [...this.entries].sort((a, b) => order.indexOf(a.layer.role) - order.indexOf(b.layer.role));
-      this.mapView.map.setLayers(sorted.map((one) => one.drawn).filter(Boolean));
-      for (const [drawn, layer, version] of renewed) await this.attempt(() => this.#renew(drawn, layer, version));
-      await this.attempt(() => this.drawOutlines(projection, before));
+      const sorted = [...entries].sort((a, b) => order.indexOf(a.layer.role) - order.indexOf(b.layer.role));
+      const lines = stays ? this.entries.filter((one) => one.layer.role === "lines") : [];
+      this.entries = [...lines, ...entries];
+      this.mapView.map.setLayers([...sorted, ...lines].map((one) => one.drawn).filter(Boolean));
+      for (const [drawn, layer, version] of renewed) {
+        if (await this.attempt(() => this.#renew(drawn, layer, version))) continue;
+        // Its pixels are as they were: the next reading tries again.
+        this.mapKey = "";
+        const own = this.entries.find((one) => one.drawn === drawn);
+        if (own) own.layer = { ...layer, version };
+      }
+      if (!(await this.attempt(() => this.drawOutlines(projection, before)))) this.mapKey = "";
       if (kept && before.has(main.id) && !stays) this.mapView.map.getView().fit(kept);
     } else {
-      this.entries = layers.map((/** @type {any} */ layer) => ({ layer, drawn: null, why: layer.error ?? "not north up, or without a georeference" }));
+      entries = layers.map((/** @type {any} */ layer) => ({ layer, drawn: null, why: layer.error ?? "not north up, or without a georeference" }));
       this.mapView.empty("No mosaic and no reference yet");
+      this.entries = entries;
     }
     showLayers(this.tabs.panel("layers"), this.entries, (layer) => this.openImage(layer), (layer) => {
       this.chosenMap = layer.id;
@@ -245,6 +272,7 @@ class Studio extends EventTarget {
   async #renew(drawn, layer, version) {
     const found = layer.role === "mosaic" ? await get(`/api/seams/changes?since=${encodeURIComponent(version)}`) : { windows: null };
     await drawn.get("renew")(found.windows);
+    return true;
   }
 
   /**
@@ -255,6 +283,8 @@ class Studio extends EventTarget {
   async drawOutlines(projection, before) {
     const found = await get("/api/outlines");
     const format = new ol.format.GeoJSON();
+    for (const one of this.entries.filter(({ layer }) => layer.role === "lines")) this.mapView.map.removeLayer(one.drawn);
+    this.entries = this.entries.filter(({ layer }) => layer.role !== "lines");
     for (const [id, name, colour] of [["footprints", "Footprints", "#ffd166"], ["seamlines", "Seamlines", "#ff5d73"]]) {
       if (!found[id]?.features.length) continue;
       const source = new ol.source.Vector({ features: format.readFeatures(found[id]) });
@@ -273,6 +303,7 @@ class Studio extends EventTarget {
       this.entries.unshift({ layer: { id, name, role: "lines" }, drawn, why: null });
       if (id === "footprints") this.outlines = source;
     }
+    return true;
   }
 
   /** @param {string} view 'map', 'image' or 'both' */
@@ -305,8 +336,7 @@ class Studio extends EventTarget {
     if (this.tools.get(this.tab)?.takeBack?.(which)) return;
     await this.attempt(async () => {
       await this.tools.get(this.tab)?.saving;
-      await changesAnswered();
-      const done = await send("POST", `/api/${which}`);
+      const done = await edit("POST", `/api/${which}`);
       this.say(`${which === "undo" ? "taken back" : "done again"}: ${done.title}`);
       this.dispatchEvent(new Event("takenback"));
       await this.load();
@@ -391,7 +421,7 @@ function prepareControls(studio) {
   studio.mapView.map.on("dblclick", (/** @type {any} */ event) => {
     if ([...studio.tools.values()].some((tool) => tool.placing)) return;
     const over = studio.mapView.map.getFeaturesAtPixel(event.pixel).map((/** @type {any} */ one) => one.get("image"));
-    const image = studio.project.images.find((/** @type {any} */ one) => over.includes(one.name));
+    const image = studio.project?.images.find((/** @type {any} */ one) => over.includes(one.name));
     if (image) {
       studio.openImage(image);
       event.preventDefault();

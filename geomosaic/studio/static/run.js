@@ -1,6 +1,6 @@
 // Runs of the project's steps: progress, log, stop, and what is stale.
 
-import { get, send } from "./api.js";
+import { editsMade, get, send } from "./api.js";
 import { element } from "./dom.js";
 import { showSteps } from "./panels.js";
 
@@ -48,7 +48,10 @@ export class Runs {
    * @param {boolean} force
    */
   async start(steps, force) {
-    await this.studio.attempt(async () => this.show(await send("POST", "/api/run", { steps, force })));
+    await this.studio.attempt(async () => {
+      await editsMade();
+      this.show(await send("POST", "/api/run", { steps, force }));
+    });
   }
 
   async stop() {

@@ -1,6 +1,6 @@
 // The block: footprints, flight lines, tie points and residuals of the chosen image, images set aside and taken back.
 
-import { get, send } from "../api.js";
+import { edit, get } from "../api.js";
 import { byId, element, shown } from "../dom.js";
 import { Drawings } from "../drawings.js";
 import { drawFootprints, drawRays, drawTies, lineColour } from "./drawing.js";
@@ -104,6 +104,10 @@ export class BlockTool {
     const image = this.studio.image;
     const own = this.block?.images.find((/** @type {any} */ one) => one.id === image?.id);
     const serial = this.serial;
+    if (this.ties && this.ties.image !== image?.name) {
+      this.ties = null; // nothing of another image is drawn over it
+      this.draw();
+    }
     await this.studio.attempt(async () => {
       const ties = own?.points || own?.left_out ? await get(`/api/block/${image.id}/ties${this.#query()}`) : null;
       if (serial !== this.serial || image?.id !== this.studio.image?.id) return;
@@ -160,7 +164,7 @@ export class BlockTool {
   /** @param {string} name of an image that is commented out */
   async #takeBack(name) {
     await this.studio.attempt(async () => {
-      this.studio.showHistory((await send("POST", "/api/block/commented", { name })).history);
+      this.studio.showHistory((await edit("POST", "/api/block/commented", { name })).history);
       await this.studio.load();
       this.studio.say(`${name} taken back; Ctrl Z leaves it out again`);
     });
@@ -249,7 +253,7 @@ export class BlockTool {
   async #goTo(ray) {
     const entry = this.studio.project.images.find((/** @type {any} */ one) => one.id === ray.image);
     if (entry && entry.id !== this.studio.image?.id) await this.studio.openImage(entry);
-    this.#centre(ray);
+    if (ray.image === this.studio.image?.id) this.#centre(ray);
   }
 
   /** @param {any} ray */
@@ -261,7 +265,7 @@ export class BlockTool {
 
   /** Set the chosen image aside, or take it back. */
   turnAside() {
-    const image = this.block?.images.find((/** @type {any} */ one) => one.id === this.studio.image?.id);
+    const image = this.block?.images.find((/** @type {any} */ one) => one.id === this.studio.opening?.id);
     if (image && image.by !== "adjustment") this.setAside(image, image.by !== "project");
   }
 
@@ -271,7 +275,7 @@ export class BlockTool {
    */
   async setAside(image, aside) {
     await this.studio.attempt(async () => {
-      const { history } = await send("POST", `/api/block/${image.id}/aside`, { aside });
+      const { history } = await edit("POST", `/api/block/${image.id}/aside`, { aside });
       this.studio.showHistory(history);
       await this.studio.load();
       this.studio.say(`${image.name} ${aside ? "set aside; Ctrl Z takes it back" : "taken back"}`);

@@ -62,12 +62,12 @@ export class Advice {
 
   /** @param {any} one of the order */
   async #goTo(one) {
-    const { panes, studio } = this.control;
+    const { panes, studio } = this.control, serial = ++panes.serial;
     panes.centre("image", [one.col, one.row], true);
     studio.imageView.cursor.to([one.col, -one.row]);
     await studio.attempt(async () => {
       const there = await panes.expected("image", [one.col, one.row]);
-      if (there) panes.centre("map", there, true);
+      if (there && serial === panes.serial) panes.centre("map", there, true);
     });
   }
 }

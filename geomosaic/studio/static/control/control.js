@@ -1,6 +1,6 @@
 // Control of the chosen image: points in image and map, live residuals, the next point. The server computes all of it.
 
-import { get, send } from "../api.js";
+import { edit, editsMade, get, send } from "../api.js";
 import { byId, element, shown } from "../dom.js";
 import { Advice } from "./advice.js";
 import { drawControl } from "./drawing.js";
@@ -46,6 +46,8 @@ export class Control {
       element("div", { class: "tools" }, this.areaButton, this.writeButton),
     );
     studio.addEventListener("image", () => this.#other());
+    studio.addEventListener("crs", () => this.placement.start(false));
+    studio.addEventListener("takenback", () => this.advice.clear());
     studio.addEventListener("project", () => this.open && this.load());
   }
 
@@ -59,9 +61,9 @@ export class Control {
       ["n", "where the next point helps most", () => this.advice.toggle()],
       ["g", "go to the place where the next point helps most", () => this.advice.goToFirst()],
       ["f", "the pictures follow each other", () => this.follow(!this.panes.following)],
-      ["x", "switch the chosen point off or on", () => this.chosen && this.change(this.chosen.id, { enabled: !this.chosen.enabled })],
+      ["x", "switch the chosen point off or on", () => this.chosen && this.change(this.chosen, { enabled: !this.chosen.enabled })],
       ["r", "measure the chosen point again, by the next click", () => this.placement.measureAgain()],
-      ["k", "make the chosen point a check point, or control", () => this.chosen && this.change(this.chosen.id, { role: this.chosen.role === "check" ? "control" : "check" })],
+      ["k", "make the chosen point a check point, or control", () => this.chosen && this.change(this.chosen, { role: this.chosen.role === "check" ? "control" : "check" })],
       ["delete", "take the chosen point out", () => this.remove()],
       ["escape", "leave what was begun", () => this.placement.start(false)],
     ]);
@@ -75,6 +77,11 @@ export class Control {
   /** Whether clicks in the pictures place a point. */
   get placing() {
     return this.placement.on;
+  }
+
+  /** What undo waits for. */
+  get saving() {
+    return this.placement.measuring;
   }
 
   /** @returns {any} the chosen point, undefined where there is none */
@@ -109,6 +116,10 @@ export class Control {
    */
   async ask(method, path, values) {
     const serial = ++this.serial;
+    if (method === "GET") {
+      await editsMade();
+      if (serial !== this.serial) return undefined;
+    }
     const image = this.studio.image;
     if (!image || !this.studio.project.images.some((/** @type {any} */ one) => one.id === image.id)) {
       this.#nothing("Choose an image of the project.");
@@ -118,7 +129,7 @@ export class Control {
     let state;
     if (method !== "GET") this.advice.clear();
     try {
-      state = method === "GET" ? await get(address) : await send(method, address, values);
+      state = method === "GET" ? await get(address) : await edit(method, address, values);
     } catch (error) {
       if (serial !== this.serial && method === "GET") return undefined;
       if (method === "GET") this.#nothing(/** @type {Error} */ (error).message);
@@ -153,6 +164,7 @@ export class Control {
 
   #other() {
     this.serial += 1;
+    this.panes.serial += 1;
     this.model = "";
     this.area = null;
     this.selected = null;
@@ -227,18 +239,21 @@ export class Control {
 
   /**
    * Change a point.
-   * @param {string} name
+   * @param {any} point as it was told: when this is done another one may have its name
    * @param {any} values
    */
-  async change(name, values) {
-    await this.studio.attempt(() => this.ask("PATCH", `/points/${encodeURIComponent(name)}`, values));
+  async change({ id, col, row }, values) {
+    await this.studio.attempt(() => this.ask("PATCH", `/points/${encodeURIComponent(id)}`, { ...values, was: [col, row] }));
   }
 
-  /** @param {string | null} [name] */
-  async remove(name = this.selected) {
-    if (!name) return;
-    await this.studio.attempt(() => this.ask("DELETE", `/points/${encodeURIComponent(name)}`));
-    this.studio.say(`point ${name} taken out; Ctrl Z brings it back`);
+  /** @param {any} [point] as it was told */
+  async remove(point = this.chosen) {
+    if (!point) return;
+    const { id, col, row } = point;
+    await this.studio.attempt(async () => {
+      await this.ask("DELETE", `/points/${encodeURIComponent(id)}`, { was: [col, row] });
+      this.studio.say(`point ${id} taken out; Ctrl Z brings it back`);
+    });
   }
 
   /** Fit only what the image pane shows, or the whole image again. */
@@ -255,9 +270,13 @@ export class Control {
   /** Write the image placed on the map. */
   async write() {
     await this.studio.attempt(async () => {
+      const opened = this.studio.image?.id;
       if (!this.state) await this.load(); // the image was opened a moment ago
+      if (!this.state || opened !== this.studio.image?.id) return this.studio.say("the points of the image are still being read", true);
+      const address = `/api/control/${opened}/georeference?${this.query()}`, overwrite = Boolean(this.state.written);
       this.studio.say("the image is drawn on the map …");
-      const made = await send("POST", `/api/control/${this.studio.image.id}/georeference?${this.query()}`, { overwrite: Boolean(this.state?.written) });
+      await editsMade();
+      const made = await send("POST", address, { overwrite });
       await this.studio.load();
       await this.load();
       this.studio.say(`${made.file} written: ${made.model}, ${made.points} points, RMS ${shown(made.rms, 2)} px`);

@@ -34,9 +34,16 @@ export class Panes {
 
   /** @returns {any} layer of the map that points are taken from */
   get layer() {
-    const drawn = this.studio.entries.filter((/** @type {any} */ one) => one.drawn && one.layer.affine);
+    const drawn = this.studio.entries.filter((/** @type {any} */ one) => one.drawn && one.layer.affine && one.layer.map_crs === this.studio.mapMain?.map_crs);
     const visible = drawn.filter((/** @type {any} */ one) => one.drawn.getVisible());
     return (visible.find((/** @type {any} */ one) => one.layer.role === "reference") ?? visible[0] ?? drawn[0])?.layer ?? null;
+  }
+
+  /** @param {number[]} at map coordinates of a place, as the server takes it */
+  onLayer(at) {
+    if (!this.layer) throw new Error("the map shows no raster yet from which a place can be taken");
+    const [mapCol, mapRow] = this.layerPixel(at);
+    return { layer: this.layer.id, map_col: mapCol, map_row: mapRow };
   }
 
   /** @param {number[]} at map coordinates */
@@ -74,7 +81,7 @@ export class Panes {
    */
   centre(side, at, near = false) {
     const view = this.view(side);
-    if (!view.home) return;
+    if (!view.home || (side === "map" && !this.layer)) return;
     const pixel = side === "image" ? 1 : this.layer.affine[0];
     const here = view.map.getView();
     const place = side === "image" ? [at[0], -at[1]] : at;

@@ -18,6 +18,8 @@ export class Placement {
     this.panes = control.panes;
     this.on = false;
     this.again = false; // the next click moves the selected point
+    /** @type {Promise<any>} */
+    this.measuring = Promise.resolve(); // what is measured, until the edit is made that comes of it
     /** @type {{image: number[] | null, map: number[] | null}} */
     this.draft = { image: null, map: null };
     /** @type {{image: number[] | null, map: number[] | null}} */
@@ -67,10 +69,10 @@ export class Placement {
    */
   #click(side, event) {
     const { control } = this;
-    if (!control.open || !control.state) return;
+    if (!control.open || !this.panes.view(side).home) return;
     const [x, y] = event.coordinate;
     const at = side === "image" ? [x, -y] : [x, y];
-    if (this.again && control.selected) this.#moveSelected(side, at);
+    if (this.again && control.chosen) this.#moveSelected(side, at);
     else if (this.on) this.setHalf(side, at);
     else {
       const found = this.panes.pointAt(side, event.pixel);
@@ -103,14 +105,15 @@ export class Placement {
   }
 
   async #add() {
-    const { image, map } = this.draft;
+    const { draft } = this, { image, map } = draft;
     if (!image || !map) return;
-    const [mapCol, mapRow] = this.panes.layerPixel(map);
     this.start(true);
-    await this.studio.attempt(async () => {
-      const state = await this.control.ask("POST", "/points", { col: image[0], row: image[1], layer: this.panes.layer.id, map_col: mapCol, map_row: mapRow });
-      if (state) this.studio.say(`point ${state.points.at(-1).id} measured`);
-    });
+    const next = this.draft;
+    const state = await this.studio.attempt(() => this.control.ask("POST", "/points", { col: image[0], row: image[1], ...this.panes.onLayer(map) }));
+    if (state) return this.studio.say(`point ${state.points.at(-1).id} measured`);
+    if (next !== this.draft || next.image || next.map) return;
+    this.draft = draft; // it was not saved: the next click corrects it
+    this.control.draw();
   }
 
   /** Take the expected place for the half that is missing. */
@@ -126,27 +129,27 @@ export class Placement {
    * Sub-pixel place in the image.
    * @param {"match" | "mark"} way
    */
-  async measure(way) {
+  measure(way) {
+    this.measuring = this.#measure(way);
+  }
+
+  /** @param {"match" | "mark"} way */
+  async #measure(way) {
     const { control, draft, on } = this;
     const chosen = control.chosen;
     const opened = this.studio.image?.id;
-    const image = this.draft.image ?? this.expected.image ?? (chosen ? [chosen.col, chosen.row] : null);
+    const half = draft.image;
+    const image = /** @type {any} */ (this.draft.image) ?? this.expected.image ?? (chosen ? [chosen.col, chosen.row] : null);
     const map = this.draft.map ?? chosen?.on_map ?? null;
-    let body;
-    if (way === "mark") {
-      if (!image) return this.studio.say("click near the mark in the image first", true);
-      body = { way, col: image[0], row: image[1] };
-    } else {
-      if (!map) return this.studio.say("click the place on the map first", true);
-      const [mapCol, mapRow] = this.panes.layerPixel(map);
-      body = { way, layer: this.panes.layer.id, map_col: mapCol, map_row: mapRow };
-    }
+    if (way === "mark" && !image) return this.studio.say("click near the mark in the image first", true);
+    if (way === "match" && !map) return this.studio.say("click the place on the map first", true);
     await this.studio.attempt(async () => {
+      const body = way === "mark" ? { way, col: image[0], row: image[1] } : { way, ...this.panes.onLayer(map) };
       const found = await send("POST", `/api/control/${opened}/measure?${control.query()}`, body);
-      if (opened !== this.studio.image?.id || (on && draft !== this.draft)) return;
+      if (opened !== this.studio.image?.id || (on && (draft !== this.draft || half !== draft.image))) return;
       this.studio.say(`${way === "match" ? "matched" : "centred"} at col ${shown(found.col, 2)}, row ${shown(found.row, 2)}, ± ${shown(found.sigma, 3)} px`);
       if (on) await this.setHalf("image", [found.col, found.row]);
-      else if (chosen) await control.change(chosen.id, { col: found.col, row: found.row });
+      else if (chosen) await control.change(chosen, { col: found.col, row: found.row });
     });
   }
 
@@ -157,7 +160,6 @@ export class Placement {
   async #moveSelected(side, at) {
     this.again = false;
     this.hint.textContent = "";
-    const [first, second] = side === "image" ? at : this.panes.layerPixel(at);
-    await this.control.change(this.control.selected, side === "image" ? { col: first, row: second } : { layer: this.panes.layer.id, map_col: first, map_row: second });
+    await this.studio.attempt(() => this.control.change(this.control.chosen, side === "image" ? { col: at[0], row: at[1] } : this.panes.onLayer(at)));
   }
 }

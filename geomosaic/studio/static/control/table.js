@@ -40,7 +40,7 @@ export class PointTable {
   /** @param {any} point */
   #row(point) {
     const { control } = this;
-    const box = /** @type {HTMLInputElement} */ (element("input", { type: "checkbox", "aria-label": `Point ${point.id} takes part`, onchange: () => control.change(point.id, { enabled: box.checked }) }));
+    const box = /** @type {HTMLInputElement} */ (element("input", { type: "checkbox", "aria-label": `Point ${point.id} takes part`, onchange: () => control.change(point, { enabled: box.checked }) }));
     box.checked = point.enabled;
     const part = point.redundancy ? Math.min(...point.redundancy) : null;
     const numbers = [told(point.col, 2), told(point.row, 2), point.ground[0], point.ground[1],
@@ -50,7 +50,7 @@ export class PointTable {
       onclick: () => control.select(point.id, true), onkeydown: (/** @type {KeyboardEvent} */ event) => this.#key(event, point.id) },
       element("td", {}, box), element("th", { scope: "row" }, point.id), element("td", {}, STATES[point.state]),
       ...numbers.map((text) => element("td", { class: "number" }, text)),
-      element("td", {}, element("button", { "aria-label": `Take point ${point.id} out`, title: "Take out", onclick: (/** @type {Event} */ event) => { event.stopPropagation(); control.remove(point.id); } }, "✕")));
+      element("td", {}, element("button", { "aria-label": `Take point ${point.id} out`, title: "Take out", onclick: (/** @type {Event} */ event) => { event.stopPropagation(); control.remove(point); } }, "✕")));
     box.addEventListener("click", (event) => event.stopPropagation());
     return row;
   }

@@ -1,6 +1,6 @@
 // Digitizing: layers of GeoPackages drawn on the map and in the image. The server carries vertices between pictures.
 
-import { get } from "../api.js";
+import { editsMade, get } from "../api.js";
 import { byId, element, firstThere } from "../dom.js";
 import { Edits } from "./edits.js";
 import { FeatureForm } from "./form.js";
@@ -66,7 +66,7 @@ export class Digitizing {
   selected = null;
   serial = 0;
   reading = Promise.resolve();
-  choice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-layer", onchange: () => { this.wanted = this.choice.value; this.selected = null; this.setMode("choose"); this.load(); } }));
+  choice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-layer", onchange: () => { this.wanted = this.choice.value; this.#close(); this.load(); } }));
   kindChoice = /** @type {HTMLSelectElement} */ (element("select", { id: "features-kind", "aria-label": "Kind of geometry", onchange: () => this.setMode(this.mode) },
     ...Object.entries(WORDS).map(([kind, word]) => element("option", { value: kind }, word))));
   drawButton = element("button", { id: "features-draw", class: "primary", "aria-pressed": "false", onclick: () => this.setMode(this.mode === "draw" ? "choose" : "draw") }, "Draw (D)");
@@ -99,6 +99,7 @@ export class Digitizing {
       element("div", { class: "tools" }, snap, shared, trace), this.waiting.list, this.notes, this.pointer.figures, this.form.box,
     );
     studio.addEventListener("image", () => this.open && this.#openImage());
+    studio.addEventListener("crs", () => this.open && this.#leaveMap());
     studio.addEventListener("project", () => this.open && this.load());
     studio.addEventListener("waiting", () => this.open && this.load());
   }
@@ -150,6 +151,7 @@ export class Digitizing {
   show(on) {
     if (on === this.open) return;
     this.open = on;
+    this.imageId = this.studio.image?.id ?? "";
     byId("features-dock").hidden = !on;
     if (on) {
       document.body.dataset.dock = "open";
@@ -176,9 +178,33 @@ export class Digitizing {
   /** Show the features in the image that was opened; what was being drawn in the one before waits to be gone on with there. */
   #openImage() {
     const id = this.studio.image?.id ?? "";
-    if (this.image.sketched.length && id !== this.imageId) this.setMode(this.mode);
+    if (id !== this.imageId) {
+      this.serial += 1;
+      if (this.image.sketched.length || this.mode === "move") this.setMode(this.mode);
+      this.image.clear();
+    }
     this.imageId = id;
     this.load();
+  }
+
+  /** Leave what was begun on the map, whose places are in another CRS now; the project is being read, and with it the layer. */
+  #leaveMap() {
+    this.serial += 1;
+    this.setMode("choose");
+    this.map.clear();
+  }
+
+  /** Show no layer, until the one that was chosen is read. */
+  #close() {
+    this.selected = null;
+    this.setMode("choose");
+    this.layer = null;
+    this.render();
+  }
+
+  /** Whether a vertex is held. */
+  get dragging() {
+    return [this.image, this.map].some((side) => side.modify?.handlingDownUpSequence);
   }
 
   /** Read the layers, and the features of the one that is open, anew; another reading that comes meanwhile is waited for. */
@@ -197,10 +223,14 @@ export class Digitizing {
   /** @param {number} serial */
   async #read(serial) {
     await this.studio.attempt(async () => {
+      await editsMade();
       const overview = await get("/api/features");
+      while (this.dragging) await new Promise((resolve) => requestAnimationFrame(resolve));
       if (serial !== this.serial) return;
       this.overview = overview;
-      this.layerId = firstThere([this.wanted, this.layerId], overview.layers);
+      const id = firstThere([this.wanted, this.layerId], overview.layers);
+      if (id !== this.layerId) this.#close();
+      this.layerId = id;
       this.choice.replaceChildren(...overview.layers.map((/** @type {any} */ one) => element("option", { value: one.id }, one.name === one.file.replace(/\.gpkg$/, "") ? one.file : `${one.file}: ${one.name}`)));
       this.choice.value = this.layerId;
       this.waiting.render();
@@ -222,18 +252,22 @@ export class Digitizing {
     canvas.setAttribute("aria-busy", "true");
     try {
       const layer = await get(`${address}${this.mapId ? `?map_layer=${this.mapId}` : ""}`);
+      while (this.dragging) await new Promise((resolve) => requestAnimationFrame(resolve));
       if (serial !== this.serial) return;
       const before = this.layer?.id === layer.id && this.layer.image === image ? this.layer.features : [];
       this.layer = { ...layer, image, features: inImage(layer.features, before) };
+      this.edits.forget();
       if (!image) return;
       this.render();
       const found = await get(`${address}?image=${image}`);
+      while (this.dragging) await new Promise((resolve) => requestAnimationFrame(resolve));
       if (serial !== this.serial) return;
       this.layer = { ...this.layer, features: inImage(layer.features, found.features), notes: [...layer.notes, ...found.notes] };
       this.image.show(this.open ? this.layer.features : []);
       if (this.mode === "move") this.image.startModifying();
       this.#renderNotes();
     } catch (error) {
+      if (serial !== this.serial) return;
       this.layer = null;
       this.render();
       throw error;

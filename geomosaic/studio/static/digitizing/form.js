@@ -23,7 +23,13 @@ export class FeatureForm {
   /** @param {any} tool */
   constructor(tool) {
     this.tool = tool;
-    this.shown = "";
+    this.made = ""; // what the fields were made for
+    /** @type {any} */
+    this.feature = null; // that is shown
+    /** @type {{name: string, show: (value: any) => void, node: HTMLElement}[]} */
+    this.rows = [];
+    this.figures = element("p", { class: "faint", title: "On the ellipsoid of the layer's CRS" });
+    this.wrong = element("p", { class: "bad" });
     /** @type {HTMLElement} where keys are again after the form */
     this.canvas = tool.map.view.canvas;
     /** @type {HTMLElement | null} picture in which a feature was drawn whose attributes get the keys once they are shown */
@@ -60,34 +66,44 @@ export class FeatureForm {
 
   #render() {
     const { layer, chosen } = this.tool;
-    const key = JSON.stringify([layer?.id, layer?.fields, chosen && { ...chosen, image: null, map: null, drawn: null }]);
-    if (key === this.shown) return; // what is being written stays
-    const focused = /** @type {HTMLInputElement | null} */ (this.box.contains(document.activeElement) ? document.activeElement : null)?.name;
-    this.shown = key;
+    const made = chosen ? JSON.stringify([layer.id, layer.fields, chosen.id]) : "";
+    if (made !== this.made) {
+      this.rows = chosen ? layer.fields.map((/** @type {any} */ field) => this.#row(field)) : [];
+      this.box.replaceChildren(...(!chosen ? [] : [
+        element("div", { class: "head" }, element("span", {}, element("strong", {}, `Feature ${chosen.id}`)), element("button", { type: "button", id: "features-delete", onclick: () => this.tool.edits.remove() }, "Delete")),
+        this.figures, this.wrong, ...this.rows.map((one) => one.node), this.rows.length ? "" : element("p", { class: "faint" }, "The layer has no attributes."),
+      ]));
+    }
+    this.made = made;
+    this.feature = chosen;
     this.box.hidden = !chosen;
-    if (!chosen) return void this.box.replaceChildren();
-    const rows = layer.fields.map((/** @type {any} */ field) => this.#row(field, chosen.values[field.name]));
-    const figures = [chosen.area ? `area ${measure(chosen.area, true)}` : null, chosen.length ? `${chosen.area || layer.kind.includes("POLYGON") ? "outline" : "length"} ${measure(chosen.length, false)}` : null].filter(Boolean).join(", ");
-    this.box.replaceChildren(
-      element("div", { class: "head" }, element("span", {}, element("strong", {}, `Feature ${chosen.id}`)), element("button", { type: "button", id: "features-delete", onclick: () => this.tool.edits.remove() }, "Delete")),
-      element("p", { class: "faint", title: "On the ellipsoid of the layer's CRS" }, figures), chosen.wrong ? element("p", { class: "bad" }, chosen.wrong) : "",
-      ...rows, rows.length ? "" : element("p", { class: "faint" }, "The layer has no attributes."),
-    );
-    if (focused) /** @type {HTMLElement | null} */ ([...this.box.querySelectorAll("input")].find((one) => one.name === focused) ?? null)?.focus();
+    if (!chosen) return;
+    this.figures.textContent = [chosen.area ? `area ${measure(chosen.area, true)}` : null, chosen.length ? `${chosen.area || layer.kind.includes("POLYGON") ? "outline" : "length"} ${measure(chosen.length, false)}` : null].filter(Boolean).join(", ");
+    this.wrong.textContent = chosen.wrong ?? "";
+    this.wrong.hidden = !chosen.wrong;
+    for (const { name, show } of this.rows) show(chosen.values[name]);
   }
 
   /**
+   * Field of an attribute; what is being written in it stays.
    * @param {any} field
-   * @param {any} value
    */
-  #row(field, value) {
-    const id = `feature-field-${field.name.replace(/\W/g, "-")}`;
-    const input = /** @type {HTMLInputElement} */ (element("input", { type: TYPES[field.kind], id, name: field.name, step: field.kind === "real" ? "any" : null, maxlength: field.longest }));
-    if (field.kind === "boolean") {
-      input.checked = value === true;
-      input.indeterminate = value === null;
-    } else input.defaultValue = value === null ? "" : field.kind === "datetime" ? String(value).slice(0, 16) : String(value);
-    input.addEventListener("change", () => this.tool.edits.setValues({ [field.name]: field.kind === "boolean" ? input.checked : input.value }));
-    return element("div", { class: "field" }, element("label", { for: id }, field.name), input);
+  #row({ name, kind, longest }) {
+    const id = `feature-field-${name.replace(/\W/g, "-")}`;
+    const input = /** @type {HTMLInputElement} */ (element("input", { type: TYPES[kind], id, name, step: kind === "real" ? "any" : null, maxlength: longest }));
+    const show = (/** @type {any} */ value) => {
+      if (kind === "boolean") {
+        input.checked = value === true;
+        input.indeterminate = value === null;
+        return;
+      }
+      const text = value === null ? "" : kind === "datetime" ? String(value).slice(0, 16) : String(value);
+      if (text === input.defaultValue) return;
+      const written = document.activeElement === input && input.value !== input.defaultValue;
+      input.defaultValue = text;
+      if (!written) input.value = text;
+    };
+    input.addEventListener("change", () => this.tool.edits.setValues(this.feature, { [name]: kind === "boolean" ? input.checked : input.value }));
+    return { name, show, node: element("div", { class: "field" }, element("label", { for: id }, name), input) };
   }
 }

@@ -1,6 +1,6 @@
 // A new layer: its name, kind, CRS and attributes.
 
-import { send } from "../api.js";
+import { edit } from "../api.js";
 import { element } from "../dom.js";
 
 const KINDS = [["Point", "points"], ["LineString", "lines"], ["Polygon", "areas"]];
@@ -39,14 +39,15 @@ export class LayerForm {
     const { tool } = this;
     const fields = [...this.fields.children].map((row) => ({ name: row.querySelector("input")?.value.trim() ?? "", kind: row.querySelector("select")?.value })).filter((one) => one.name);
     await tool.studio.attempt(async () => {
-      const made = await send("POST", "/api/features/layers", { name: this.name.value, kind: this.kind.value, crs: this.crs.value, map_layer: tool.mapId, fields });
+      const name = this.name.value.trim();
+      const made = await edit("POST", "/api/features/layers", { name, kind: this.kind.value, crs: this.crs.value, map_layer: tool.mapId, fields });
       tool.wanted = made.id;
-      tool.studio.say(`${this.name.value.trim()}.gpkg created`);
+      tool.studio.say(`${name}.gpkg created`);
       this.name.value = "";
       this.fields.replaceChildren();
       this.details.removeAttribute("open");
       await tool.load();
-      tool.setMode("draw");
+      if (tool.layerId === made.id) tool.setMode("draw");
     });
   }
 }

@@ -48,14 +48,15 @@ export class Pointer {
     const { tool } = this;
     if (!tool.open || !tool.relief || !tool.mapId || !tool.layer) return;
     this.side = side;
+    const [first, second] = side.place(at);
+    const names = side.name === "image" ? ["col", "row"] : ["x", "y"];
+    const pictures = () => ({ image: tool.studio.image?.id, map_layer: tool.mapId });
+    const query = String(new URLSearchParams({ ...pictures(), [names[0]]: String(first), [names[1]]: String(second) }));
     const ask = async () => {
       this.busy = true;
       try {
-        const [first, second] = side.place(at);
-        const names = side.name === "image" ? ["col", "row"] : ["x", "y"];
-        const query = new URLSearchParams({ image: tool.studio.image.id, map_layer: tool.mapId, [names[0]]: String(first), [names[1]]: String(second) });
         const found = await get(`/api/features/place?${query}`);
-        if (tool.open && this.side === side) this.#show(side, found);
+        if (tool.open && this.side === side && query.startsWith(String(new URLSearchParams(pictures())))) this.#show(side, found);
       } catch (error) {
         this.figures.textContent = /** @type {Error} */ (error).message;
       }

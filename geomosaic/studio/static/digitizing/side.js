@@ -53,6 +53,8 @@ export class Side {
     /** @type {any} */
     this.draw = null;
     /** @type {any} */
+    /** @type {any} */
+    this.modify = null;
     this.sketch = null; // OpenLayers' feature while it is drawn
     map.on("click", (/** @type {any} */ event) => this.#click(event));
   }
@@ -121,6 +123,7 @@ export class Side {
     for (const one of this.interactions) this.view.map.removeInteraction(one);
     this.interactions = [];
     this.draw = null;
+    this.modify = null;
     this.sketch = null;
     this.view.canvas.classList.remove("placing");
     this.#zoomByDoubleClick(true);

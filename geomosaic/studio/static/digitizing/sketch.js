@@ -1,6 +1,6 @@
 // What is being drawn: kept by the server vertex by vertex, taken back, dropped, and gone on with by a later page.
 
-import { send } from "../api.js";
+import { edit } from "../api.js";
 
 const newKey = () => Math.random().toString(36).slice(2, 12);
 
@@ -8,6 +8,7 @@ const newKey = () => Math.random().toString(36).slice(2, 12);
 export class Sketch {
   key = newKey(); // of what is being drawn
   going = false; // whether something is being drawn
+  /** @type {Promise<any>} */
   sending = Promise.resolve();
 
   /** @param {any} tool */
@@ -24,7 +25,7 @@ export class Sketch {
   keep(side, kind, places) {
     const { tool } = this;
     this.going = true;
-    const drawn = { layer: tool.layerId, side: side.name, picture: side.name === "image" ? tool.studio.image.id : tool.mapId, kind, coordinates: places };
+    const drawn = { layer: tool.layerId, side: side.name, picture: side.name === "image" ? tool.studio.image?.id : tool.mapId, kind, coordinates: places };
     if (places.length) this.#send(drawn);
   }
 
@@ -43,6 +44,7 @@ export class Sketch {
   drop() {
     this.going = false;
     this.#send(null);
+    this.sending.then(() => this.tool.load());
   }
 
   /** Take the last vertex back; the first one ends the drawing. */
@@ -55,8 +57,7 @@ export class Sketch {
 
   /** @param {any} drawn in the order in which it was drawn */
   #send(drawn) {
-    const page = this.key;
-    this.sending = this.sending.then(async () => { await this.tool.studio.attempt(() => send("PUT", "/api/features/sketch", { page, drawn })); });
+    this.sending = this.tool.studio.attempt(() => edit("PUT", "/api/features/sketch", { page: this.key, drawn }));
   }
 
   /**
@@ -65,7 +66,8 @@ export class Sketch {
    * @param {any} drawn
    */
   async resume(key, drawn) {
-    const { tool } = this, { studio } = tool;
+    const { tool } = this, { studio } = tool, side = tool[/** @type {"image" | "map"} */ (drawn.side)];
+    tool.setMode("choose");
     tool.wanted = drawn.layer;
     await tool.load();
     if (drawn.side === "image" && studio.image?.id !== drawn.picture) {
@@ -74,9 +76,13 @@ export class Sketch {
       await studio.openImage(image);
       await tool.load();
     }
-    tool.setMode("draw");
-    tool[/** @type {"image" | "map"} */ (drawn.side)].extend(drawn.coordinates);
-    await send("PUT", "/api/features/sketch", { page: key, drawn: null });
+    const on = studio.project.layers.find((/** @type {any} */ one) => one.id === drawn.picture);
+    const there = drawn.side === "image" ? studio.image?.id === drawn.picture : on?.map_crs === studio.mapMain?.map_crs;
+    tool.kindChoice.value = drawn.kind;
+    if (there && tool.layerId === drawn.layer) tool.setMode("draw");
+    if (tool.mode !== "draw" || tool.kind !== drawn.kind || !side.draw) return studio.say("it cannot be gone on with: its layer, or the picture that it was drawn in, is not open", true);
+    side.extend(drawn.coordinates);
+    await edit("PUT", "/api/features/sketch", { page: key, drawn: null });
     tool.overview.sketches = {};
     tool.waiting.render();
     studio.say("go on with the next vertex");

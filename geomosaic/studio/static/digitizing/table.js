@@ -28,7 +28,7 @@ export class FeatureTable {
     this.head.replaceChildren(...heads.map((head, i) => element("th", { scope: "col", class: i > fields.length || NUMBERS.includes(fields[i - 1]?.kind) ? "number" : "", title: i > fields.length ? "On the ellipsoid" : null }, head)));
     const focused = /** @type {HTMLElement | null} */ (document.activeElement?.closest?.("#features-table tr[data-id]") ?? null)?.dataset.id;
     const rows = found.slice(0, MOST).map((/** @type {any} */ one) => this.#row(one, fields));
-    const empty = !layer ? "No layer yet: create one at the left." : wanted ? "No feature has this in an attribute." : "No feature yet: press D, then click on the map or in the image.";
+    const empty = !layer && this.tool.overview?.layers.length ? "The layer is being read." : !layer ? "No layer yet: create one at the left." : wanted ? "No feature has this in an attribute." : "No feature yet: press D, then click on the map or in the image.";
     this.body.replaceChildren(...(rows.length ? rows : [element("tr", {}, element("td", { colspan: heads.length, class: "empty" }, empty))]));
     this.more.textContent = found.length > MOST ? `${MOST} of ${found.length} features; find one by its attributes` : "";
     if (focused) rows.find((/** @type {any} */ row) => row.dataset.id === focused)?.focus();

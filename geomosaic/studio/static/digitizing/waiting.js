@@ -1,6 +1,6 @@
 // What waits: edits that their GeoPackage does not have yet, and drawings that were not ended.
 
-import { send } from "../api.js";
+import { edit } from "../api.js";
 import { element } from "../dom.js";
 
 const WORDS = /** @type {Record<string, string>} */ ({ Point: "A point", LineString: "A line", Polygon: "An area" });
@@ -31,11 +31,11 @@ export class Waiting {
    * @param {any} act
    */
   #button(text, act) {
-    return element("button", { onclick: () => this.tool.studio.attempt(async () => { await send("POST", "/api/features/pending", act); await this.tool.load(); }) }, text);
+    return element("button", { onclick: () => this.tool.studio.attempt(async () => { await edit("POST", "/api/features/pending", act); await this.tool.load(); }) }, text);
   }
 
   /** @param {string} key */
   async #drop(key) {
-    await this.tool.studio.attempt(async () => { await send("PUT", "/api/features/sketch", { page: key, drawn: null }); await this.tool.load(); });
+    await this.tool.studio.attempt(async () => { await edit("PUT", "/api/features/sketch", { page: key, drawn: null }); await this.tool.load(); });
   }
 }

@@ -15,6 +15,7 @@ export class ColourForm {
     element("div", { class: "tools" }, element("button", { type: "submit" }, "Apply"), element("button", { type: "button", onclick: () => this.#reset() }, "As balanced")));
   /** @type {any[]} */
   images = [];
+  filled = ""; // name of the photo whose numbers are in the form
 
   /** @param {any} seams the tab */
   constructor(seams) {
@@ -38,7 +39,8 @@ export class ColourForm {
 
   #fill() {
     const own = this.images.find((one) => one.name === this.choice.value);
-    if (!own || this.box.contains(document.activeElement) && document.activeElement !== this.choice) return; // what is typed stays
+    if (!own || own.name === this.filled && this.box.contains(document.activeElement) && document.activeElement !== this.choice) return; // what is typed stays
+    this.filled = own.name;
     this.gain.value = String(own.gain);
     this.offset.value = String(own.offset);
   }

@@ -1,7 +1,7 @@
 // Seams: moved, redrawn and cut on the map, areas given to other photos, colours of one photo. The server edits the file
 // of seams that the command line reads, and the mosaic is made anew where an edit touches it.
 
-import { get, send } from "../api.js";
+import { edit, get, send } from "../api.js";
 import { element, shown } from "../dom.js";
 import { ColourForm } from "./colour_form.js";
 import { PhotoLayer } from "./photo_layer.js";
@@ -37,7 +37,7 @@ export class Seams {
   found = []; // photos of the place or the area
   asked = 0; // of the place, area or line that was asked about last
   title = "";
-  footprintsShown = true; // before this tab was opened
+  footprintsShown = false; // before this tab was opened
   buttons = new Map(MODES.map(([mode, title, key]) => [mode, element("button", { id: `seams-${mode}`, "aria-pressed": "false", onclick: () => this.setMode(mode) }, `${title} (${key})`)]));
   file = element("p", { class: "hint", id: "seams-file" });
   reason = element("span");
@@ -67,6 +67,8 @@ export class Seams {
     });
     this.view.map.on("click", (/** @type {any} */ event) => this.#click(event));
     studio.addEventListener("project", () => this.open && this.load());
+    studio.addEventListener("map", () => this.open && this.#footprints(true));
+    studio.addEventListener("crs", () => this.open && this.setMode("look"));
     studio.addEventListener("steps", () => this.#showStale());
     studio.addEventListener("takenback", () => this.open && this.#edit("run", {}, ""));
   }
@@ -120,9 +122,9 @@ export class Seams {
   /** @param {boolean} on whether footprints, which would hide the seams, are put away */
   #footprints(on) {
     const drawn = this.studio.entries.find((/** @type {any} */ one) => one.layer.id === "footprints")?.drawn;
-    if (!drawn) return;
-    if (on) this.footprintsShown = drawn.getVisible();
-    drawn.setVisible(on ? false : this.footprintsShown);
+    const shown = this.footprintsShown;
+    this.footprintsShown = on && (shown || Boolean(drawn?.getVisible())); // the map may be drawn anew meanwhile
+    drawn?.setVisible(!on && (shown || drawn.getVisible()));
   }
 
   /** Read the seams anew. */
@@ -286,9 +288,10 @@ export class Seams {
 
   /** @param {string} name of a photo that is shown over the map, or no longer */
   async see(name) {
-    await this.studio.attempt(() => this.photo.show(this.photo.name === name ? "" : name));
     this.colours.choose(name);
+    const shown = this.studio.attempt(() => this.photo.show(this.photo.name === name ? "" : name));
     this.#renderPhotos();
+    await shown;
   }
 
   /** @param {boolean} on */
@@ -322,7 +325,7 @@ export class Seams {
   #edit(act, values, done) {
     return this.studio.attempt(async () => {
       const serial = ++this.serial;
-      const state = await send("POST", `/api/seams/${act}`, values);
+      const state = await edit("POST", `/api/seams/${act}`, values);
       if (done) this.studio.say(`${done}; the mosaic is made anew there`);
       if (serial === this.serial) this.render(state);
       return true;

@@ -115,7 +115,7 @@ export class LayoutForm {
    */
   show(form, state, vectors) {
     const layers = state.values.layer ?? [];
-    const made = JSON.stringify([state.id, vectors, layers.map(nameOf)]);
+    const made = JSON.stringify([state.id, vectors, layers.map((/** @type {any} */ one) => [nameOf(one), one.file, one.layer])]);
     if (made !== this.made) this.#make(form, layers, vectors);
     this.made = made;
     for (const { show, of } of this.fields) show(of(state.values));
@@ -163,15 +163,15 @@ export class LayoutForm {
    */
   #layers(keys, layers, vectors) {
     const cards = layers.map((layer, index) => {
-      const name = nameOf(layer);
-      const move = (/** @type {number} */ to, /** @type {string} */ where) => this.edit([{ layer: "move", index, to }], `layer ${name} moved ${where}`);
+      const name = nameOf(layer), of = [layer.file ?? null, layer.layer ?? null];
+      const move = (/** @type {number} */ to, /** @type {string} */ where) => this.edit([{ layer: "move", index, of, to }], `layer ${name} moved ${where}`);
       return element("div", { class: "card", role: "group", "aria-label": `Layer ${name}` },
         element("div", { class: "head" }, element("strong", { class: "grow" }, name),
           element("button", { "aria-label": `Draw ${name} below`, title: "Below", disabled: index === 0, onclick: () => move(index - 1, "down") }, "↓"),
           element("button", { "aria-label": `Draw ${name} above`, title: "Above", disabled: index === layers.length - 1, onclick: () => move(index + 1, "up") }, "↑"),
-          element("button", { "aria-label": `Take ${name} off the sheet`, title: "Take off", onclick: () => this.edit([{ layer: "remove", index }], `layer ${name} taken off`) }, "✕")),
+          element("button", { "aria-label": `Take ${name} off the sheet`, title: "Take off", onclick: () => this.edit([{ layer: "remove", index, of }], `layer ${name} taken off`) }, "✕")),
         ...keys.map((field) => this.#field(field, `sheet-form-layer-${index}-${field.key}`, (values) => values.layer?.[index],
-          (value) => this.edit([{ table: "layer", index, key: field.key, value }], `layer ${name}: ${field.key}`))));
+          (value) => this.edit([{ table: "layer", index, of, key: field.key, value }], `layer ${name}: ${field.key}`))));
     }).reverse(); // the uppermost first, as in the legend
     const choice = /** @type {any} */ (element("select", { "aria-label": "Vector file" }, ...vectors.map((one) => element("option", { value: one }, one))));
     const add = vectors.length

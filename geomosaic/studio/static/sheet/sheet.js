@@ -1,6 +1,6 @@
 // The tab of sheets: a layout chosen, edited in a form and on its preview, and printed.
 
-import { get, send } from "../api.js";
+import { edit, editsMade, get, send } from "../api.js";
 import { byId, element, firstThere } from "../dom.js";
 import { LayoutForm } from "./form.js";
 import { Stage } from "./stage.js";
@@ -9,11 +9,11 @@ import { Stage } from "./stage.js";
 export class SheetTool {
   /** @type {[string, string, () => void][]} */
   keys = [["+", "larger", () => this.zoom(1.5)], ["-", "smaller", () => this.zoom(1 / 1.5)], ["Arrows, Shift", "move the box that has the focus by 1 mm, by 5 mm", () => {}]];
-  choice = /** @type {any} */ (element("select", { id: "sheet-layout", "aria-label": "Layout", onchange: () => { this.layout = this.choice.value; this.load(); } }));
+  choice = /** @type {any} */ (element("select", { id: "sheet-layout", "aria-label": "Layout", onchange: () => { this.layout = this.choice.value; this.#nameThePrint(); this.load(); } }));
   raster = /** @type {any} */ (element("select", { id: "sheet-raster", "aria-label": "Raster of the sheet", onchange: () => this.draw() }));
   name = /** @type {any} */ (element("input", { type: "text", id: "sheet-name", placeholder: "name", "aria-label": "Name of a new layout" }));
-  format = /** @type {any} */ (element("select", { id: "sheet-format", "aria-label": "Format" }, ...["pdf", "png", "tif"].map((one) => element("option", { value: one }, one === "tif" ? "GeoTIFF" : one.toUpperCase()))));
-  printButton = element("button", { id: "sheet-print", class: "primary", onclick: () => this.print() }, "Print");
+  format = /** @type {any} */ (element("select", { id: "sheet-format", "aria-label": "Format", onchange: () => this.#nameThePrint() }, ...["pdf", "png", "tif"].map((one) => element("option", { value: one }, one === "tif" ? "GeoTIFF" : one.toUpperCase()))));
+  printButton = element("button", { id: "sheet-print", class: "primary", disabled: true, onclick: () => this.print() }, "Print");
   stopButton = element("button", { id: "sheet-stop", hidden: true, onclick: () => this.studio.attempt(async () => this.showPrint(await send("POST", "/api/sheets/print/stop"))) }, "Stop");
   bar = element("progress", { id: "sheet-progress", hidden: true, "aria-label": "Progress of the print" });
   printed = element("p", { id: "sheet-printed", "aria-live": "polite" });
@@ -30,7 +30,6 @@ export class SheetTool {
   printSerial = 0; // of the print that is shown
   drawing = false;
   again = false;
-  saving = Promise.resolve(); // edits are saved in their order
   /** @type {any} */
   refused = null; // what was wrong with the last edit, until the next one
 
@@ -80,6 +79,7 @@ export class SheetTool {
       this.raster.replaceChildren(...rasters.map((/** @type {any} */ one) => element("option", { value: one.id }, `${one.name} (${one.role})`)));
       this.raster.value = firstThere([raster], rasters);
       this.choice.value = layout;
+      this.#nameThePrint();
       this.choice.hidden = !layout;
       const state = layout ? await get(`/api/sheets/${layout}`) : null;
       if (serial !== this.serial) return;
@@ -91,7 +91,7 @@ export class SheetTool {
 
   async create() {
     await this.studio.attempt(async () => {
-      const made = await send("POST", "/api/sheets", { name: this.name.value });
+      const made = await edit("POST", "/api/sheets", { name: this.name.value });
       this.name.value = "";
       this.layout = made.id;
       this.studio.showHistory(made.history);
@@ -102,12 +102,14 @@ export class SheetTool {
 
   /** @param {any} state of a layout; null where there is none */
   showState(state) {
-    if (state?.id !== this.state?.id) this.refused = null;
+    if (state?.id !== this.state?.id) {
+      this.stage.clear(); // what is moved in a sheet is of its layout
+      this.refused = null;
+    }
     this.state = state;
     this.caption.textContent = state?.name ?? "No layout yet";
     if (state) this.form.show(this.overview.form, state, this.overview.vectors);
     else {
-      this.stage.clear();
       this.place.textContent = "";
       this.form.empty("The project has no layout of a sheet yet. Give a name and press New layout.");
     }
@@ -119,19 +121,9 @@ export class SheetTool {
    * @param {any[]} edits
    * @param {string} title for the history
    */
-  edit(edits, title) {
-    const layout = this.state.id;
-    this.saving = this.saving.then(() => this.#save(layout, edits, title));
-  }
-
-  /**
-   * @param {string} layout
-   * @param {any[]} edits
-   * @param {string} title
-   */
-  async #save(layout, edits, title) {
+  async edit(edits, title) {
     try {
-      const { history } = await send("PATCH", `/api/sheets/${layout}`, { edits, title });
+      const { history } = await edit("PATCH", `/api/sheets/${this.state.id}`, { edits, title });
       this.refused = null;
       this.studio.say(title);
       this.studio.showHistory(history);
@@ -200,15 +192,23 @@ export class SheetTool {
   }
 
   async print() {
+    const { id, prints } = this.state, raster = this.raster.value, format = this.format.value;
+    this.stage.settle();
     await this.studio.attempt(async () => {
-      const overwrite = this.state.prints.includes(this.format.value);
-      this.showPrint(await send("POST", `/api/sheets/${this.state.id}/print`, { raster: this.raster.value, format: this.format.value, overwrite }));
+      await editsMade();
+      this.showPrint(await send("POST", `/api/sheets/${id}/print`, { raster, format, overwrite: prints.includes(format) }));
     });
+  }
+
+  /** What was moved a moment ago is saved first, and taken back. */
+  takeBack() {
+    this.stage.settle();
+    return false;
   }
 
   #nameThePrint() {
     const there = this.state?.prints.includes(this.format.value);
-    const missing = !this.state ? "There is no layout to print yet" : !this.raster.value ? "There is no mosaic, ortho or reference to print yet" : "";
+    const missing = !this.state ? "There is no layout to print yet" : this.choice.value !== this.state.id ? "The layout is still being read" : !this.raster.value ? "There is no mosaic, ortho or reference to print yet" : "";
     this.printButton.textContent = there ? "Print again" : "Print";
     this.printButton.title = missing || (there ? "Replaces the file of the last print" : "");
     this.printButton.toggleAttribute("disabled", this.printing || missing !== "");
@@ -229,7 +229,7 @@ export class SheetTool {
     const error = print && [print.where, print.what].filter(Boolean).join(": ") + (print.hint ? `; ${print.hint}` : "");
     this.printed.textContent = !print ? "" : active ? `printing: ${print.stage} …` : print.state === "done" ? `printed: ${print.file}` : error;
     this.printed.className = print?.state === "done" ? "good" : print?.state === "failed" ? "bad" : "";
-    if (print?.state === "done" && this.state && !this.state.prints.includes(print.output.split(".").at(-1))) {
+    if (print?.state === "done" && print.layout === this.state?.id && !this.state.prints.includes(print.output.split(".").at(-1))) {
       this.state.prints.push(print.output.split(".").at(-1));
     }
     this.#nameThePrint();

@@ -15,6 +15,8 @@ export class Stage {
   page = element("div", { class: "sheet-page" }, this.picture);
   zoom = 1;
   serial = 0; // of the picture that is asked for
+  fit = 1; // scale of the last sheet without zoom
+  settle = () => {}; // save what arrow keys have moved
   /** @type {any} */
   sheet = null;
   /** @type {Map<string, HTMLElement>} */
@@ -33,10 +35,11 @@ export class Stage {
 
   /** Pixels of the screen for a millimetre of paper. */
   get scale() {
-    if (!this.sheet) return 1;
-    const [left, bottom, right, top] = this.sheet.paper;
-    const fit = Math.min((this.place.clientWidth - 32) / (right - left), (this.place.clientHeight - 32) / (top - bottom));
-    return Math.max(0.3, fit) * this.zoom;
+    if (this.sheet) {
+      const [left, bottom, right, top] = this.sheet.paper;
+      this.fit = Math.max(0.3, Math.min((this.place.clientWidth - 32) / (right - left), (this.place.clientHeight - 32) / (top - bottom)));
+    }
+    return this.fit * this.zoom;
   }
 
   /** Resolution that the screen shows, in steps so that a small change of the window needs no new picture. */
@@ -71,6 +74,7 @@ export class Stage {
 
   /** Show nothing. */
   clear() {
+    this.settle();
     this.serial += 1;
     this.sheet = null;
     this.picture.removeAttribute("src");
@@ -144,6 +148,7 @@ export class Stage {
     };
     const end = () => {
       delete box.dataset.moving;
+      if (!this.boxes.has(name)) return undefined; // the sheet has it no longer
       const before = this.positionOf(name);
       if (Math.hypot(at[0] - before[0], at[1] - before[1]) < 0.05) return this.#place(name, before);
       // Until the new picture is there, the box stays where it was put.
@@ -152,6 +157,12 @@ export class Stage {
       this.sheet.elements[name] = [at[0], low - (top - bottom), at[0] + right - left, low];
       return this.move(name, at);
     };
+    const settle = () => {
+      clearTimeout(waiting);
+      this.settle = () => {};
+      end();
+    };
+    box.addEventListener("blur", () => this.settle());
     box.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => {
       if (event.button) return;
       start();
@@ -179,9 +190,12 @@ export class Stage {
         at = this.#inside(name, [at[0] + far * step[0], at[1] + far * step[1]]);
         this.#place(name, at);
         clearTimeout(waiting);
-        waiting = setTimeout(end, PAUSE);
-      } else if (event.key === "Delete" || event.key === "Backspace") this.move(name, null);
-      else return;
+        waiting = setTimeout(settle, PAUSE);
+        this.settle = settle;
+      } else if (event.key === "Delete" || event.key === "Backspace") {
+        this.settle();
+        this.move(name, null);
+      } else return;
       event.preventDefault();
       event.stopPropagation();
     });
