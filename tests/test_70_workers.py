@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pickle
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -188,6 +190,7 @@ def test_errors_of_the_user_come_back_as_they_are_and_others_are_tried_again(tmp
         ("tcp://192.168.1.4:8786", "anyone on the network"),
         ("tcp://scheduler:8786", "anyone on the network"),
         ("http://127.0.0.1:8786", "neither a number"),
+        ("tcp://127.0.0.1:65536", "neither a number"),
         ("two", "neither a number"),
         (True, "not a whole number"),
     ],
@@ -197,6 +200,18 @@ def test_workers_that_cannot_be_are_refused_at_once(given, words) -> None:
         RenderOptions(workers=given)
     assert caught.value.where == "`workers`"
     assert caught.value.hint
+
+
+def test_a_script_whose_processes_would_start_it_again_is_told_how_to_call(tmp_path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from geomosaic.execution.units import map_units\n"
+        "from geomosaic.options.render import RunningOptions\n"
+        "print(list(map_units(abs, range(3), RunningOptions(workers=1))))\n"
+    )
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1].startswith("  hint: a script must make the call under if __name__")
 
 
 def test_addresses_of_this_machine_and_encrypted_ones_are_taken() -> None:
@@ -211,3 +226,9 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch) -> Non
     with pytest.raises(WorkerError, match="no Dask scheduler answers") as caught:
         list(map_units(float, [1], RenderOptions(workers="tcp://127.0.0.1:9")))
     assert caught.value.where == "tcp://127.0.0.1:9"
+
+
+def test_an_encrypted_scheduler_without_certificates_is_not_tried() -> None:
+    pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
+    with pytest.raises(WorkerError, match="tls:// needs certificates, and Dask's configuration names none"):
+        list(map_units(float, [1], RenderOptions(workers="tls://127.0.0.1:9")))

@@ -28,6 +28,7 @@ def set_up() -> None:
     # of them would also make the last bits of a solution depend on the machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.getLogger("rasterio").addHandler(logging.NullHandler())  # GDAL's messages come back as exceptions
+    logging.getLogger("distributed.client").disabled = True  # a scheduler that is lost, too
     tolerate_closed_pipes()
     _silence_undecodable_messages()
 

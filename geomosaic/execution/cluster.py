@@ -230,11 +230,18 @@ def _client(address: str) -> Any:
         ) from None
     # Certificates are those of Dask's own configuration (distributed.comm.tls), never of a project file.
     security = Security(require_encryption=True) if address.startswith("tls:") else None
+    if security is not None and not (security.tls_ca_file and security.tls_client_cert):
+        raise WorkerError(
+            "tls:// needs certificates, and Dask's configuration names none",
+            where=address,
+            hint="set distributed.comm.tls there, or variables such as DASK_DISTRIBUTED__COMM__TLS__CA_FILE "
+            "(and ..._TLS__CLIENT__CERT, ..._TLS__CLIENT__KEY)",
+        )
     try:
         return Client(address, timeout=SCHEDULER_TIMEOUT, security=security, set_as_default=False)
     except (OSError, TimeoutError, TypeError, ValueError) as error:
         raise WorkerError(
             f"no Dask scheduler answers ({error})",
             where=address,
-            hint="check the address and that the scheduler runs; tls:// needs certificates in Dask's configuration",
+            hint=f"check the address and that the scheduler runs{', and the certificates' if security else ''}",
         ) from error

@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from geomosaic.errors import WorkerError
 from geomosaic.execution.task import run_task
 from geomosaic.execution.work import UnitsLostError, Work
 from geomosaic.options.render import PER_THREAD, PROGRAM
@@ -75,12 +76,12 @@ class Processes:
         try:
             while (task := self._tasks.get()) is not None:
                 if task.future.set_running_or_notify_cancel():
-                    if process is None:
-                        process = _Process(self._closed)
                     try:
+                        process = process or _Process(self._closed)
                         task.future.set_result(process.answer(task, self._memory))
                     except Exception as error:
-                        process.end(at_once=True)
+                        if process is not None:
+                            process.end(at_once=True)
                         process = None
                         task.future.set_exception(error)
                     else:
@@ -118,8 +119,13 @@ class _Process:
         context = multiprocessing.get_context("spawn")
         self._pipe, there = context.Pipe()
         self._process = context.Process(target=_work, args=(there,), name="geomosaic worker", daemon=True)
-        self._process.start()
-        there.close()  # else its end would not be noticed
+        self._answered = False
+        try:
+            self._process.start()
+        except RuntimeError as error:
+            raise _not_started("this one is itself about to start") from error
+        finally:
+            there.close()  # else its end would not be noticed
 
     def answer(self, task: _Task, most: int) -> bytes:
         """Answer of a task.
@@ -128,6 +134,8 @@ class _Process:
         ------
         UnitsLostError
             The process died, hung, or held more than `most` bytes.
+        WorkerError
+            It failed as soon as it was started.
         """
         begun, patience = time.monotonic(), task.patience
         try:
@@ -144,11 +152,14 @@ class _Process:
                         what = f"it held {held >> 20} MB of memory, the limit is {most >> 20} MB"
                         raise UnitsLostError("memory", what)
                 found = self._pipe.recv_bytes()
+                self._answered = True
                 if found:
                     return found
                 self._pipe.send((task.work.key, task.work.data, task.items))
         except (EOFError, OSError) as error:
             self._process.join(_END)
+            if self._process.exitcode == 1 and not self._answered:  # an error of Python, on its standard error
+                raise _not_started("it ended with code 1") from error
             raise UnitsLostError("died", _end_text(self._process.exitcode)) from error
 
     def memory(self) -> int:
@@ -169,6 +180,15 @@ class _Process:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
+
+
+def _not_started(why: str) -> WorkerError:
+    """Failure of a process that did not begin to work, as no other would."""
+    return WorkerError(
+        f"a process could not be started ({why})",
+        where="`workers`",
+        hint="a script must make the call under if __name__ == '__main__':, as processes start by importing it",
+    )
 
 
 def _end_text(code: int | None) -> str:

@@ -55,7 +55,7 @@ def _parse_workers(value: Any) -> int | str:
             raise InputError("0 workers do nothing", hint="give 1 or more, or leave it out for threads")
         return int(text)
     found = re.fullmatch(r"(tls|tcp)://(\[[0-9a-fA-F:]+\]|[\w.-]+):(\d{1,5})", text)
-    if not found:
+    if not found or int(found[3]) >= 1 << 16:
         raise InputError(
             f"'{text}' is neither a number of processes nor the address of a Dask scheduler",
             hint="write a number, or an address such as tls://scheduler:8786",
