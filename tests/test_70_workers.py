@@ -230,5 +230,5 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch) -> Non
 
 def test_an_encrypted_scheduler_without_certificates_is_not_tried() -> None:
     pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
-    with pytest.raises(WorkerError, match="tls:// needs certificates, and Dask's configuration names none"):
+    with pytest.raises(WorkerError, match="tls:// needs certificates in Dask's configuration"):
         list(map_units(float, [1], RenderOptions(workers="tls://127.0.0.1:9")))

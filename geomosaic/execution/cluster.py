@@ -232,7 +232,7 @@ def _client(address: str) -> Any:
     security = Security(require_encryption=True) if address.startswith("tls:") else None
     if security is not None and not (security.tls_ca_file and security.tls_client_cert):
         raise WorkerError(
-            "tls:// needs certificates, and Dask's configuration names none",
+            "tls:// needs certificates in Dask's configuration, which names none",
             where=address,
             hint="set distributed.comm.tls there, or variables such as DASK_DISTRIBUTED__COMM__TLS__CA_FILE "
             "(and ..._TLS__CLIENT__CERT, ..._TLS__CLIENT__KEY)",
@@ -243,5 +243,6 @@ def _client(address: str) -> Any:
         raise WorkerError(
             f"no Dask scheduler answers ({error})",
             where=address,
-            hint=f"check the address and that the scheduler runs{', and the certificates' if security else ''}",
+            hint="check the address and that the scheduler runs"
+            + (", and the certificates in Dask's configuration" if security else ""),
         ) from error
