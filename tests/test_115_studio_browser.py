@@ -142,6 +142,10 @@ def test_a_project_shows_its_photos_and_mosaic_by_keys_alone(page: Any) -> None:
     expect(rows.nth(1)).to_have_attribute("aria-current", "true")
     page.keyboard.press("[")
     expect(page.locator("#image-view .name")).to_have_text(names[0])
+    page.route("**/api/raster/*", lambda request: request.abort(), times=1)  # a photo that cannot be read is not open
+    page.keyboard.press("]")
+    expect(page.locator("#status")).to_contain_text("does not answer")
+    expect(rows.nth(0)).to_have_attribute("aria-current", "true")
     page.keyboard.press("1")
     expect(page.locator("#image-view")).to_be_hidden()
     expect(page.get_by_role("radio", name="Map")).to_be_checked()
@@ -218,16 +222,19 @@ def test_a_map_that_changes_while_it_is_drawn_has_each_layer_once(trial: Path, p
     page.get_by_role("tab", name="Layers").click()
     expect(names).not_to_have_count(0)
     before = names.all_inner_texts()
+    page.get_by_role("tab", name="Seams").click()  # where footprints are put away
     held: list[Any] = []
     page.route("**/api/outlines", lambda request: held.append(request), times=1)
     with page.expect_request("**/api/outlines"):
         mosaic.touch()
     with page.expect_response("**/api/project"):
         mosaic.touch()
+    page.get_by_role("tab", name="Layers").click()
     page.wait_for_timeout(300)  # for the page to draw it, if it did not wait; it does not rest, as an answer is held
     with page.expect_response("**/api/steps"):  # the last that the page reads of a project
         held[0].continue_()
     assert names.all_inner_texts() == before
+    expect(page.get_by_role("checkbox", name="Footprints")).to_be_checked()
 
 
 def test_what_an_edit_made_stale_is_run_and_stopped_from_the_page(trial: Path, page: Any) -> None:

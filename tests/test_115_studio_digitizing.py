@@ -6,6 +6,7 @@ import re
 import shutil
 import sqlite3
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -248,15 +249,18 @@ def test_what_is_drawn_next_keeps_the_keys_and_its_photo(chromium: Any, tmp_path
     project.path.write_text(project.path.read_text().replace('"photo.tif"', '"photo.tif", "second.tif"'))
     orientation = (tmp_path / "exterior.csv").read_text()
     row = orientation.splitlines()[1]
-    (tmp_path / "exterior.csv").write_text(f"{orientation}{row.replace('photo.tif', 'second.tif')}\n")
+    east = f"second.tif,{float(row.split(',')[1]) + 40.0},{row.split(',', 2)[2]}"
+    (tmp_path / "exterior.csv").write_text(f"{orientation}{east}\n")
     truth = road(6)
-    write_layer(tmp_path / "roads.gpkg", shapely.LineString(truth))
+    write_layer(tmp_path / "roads.gpkg", shapely.LineString(truth), kind=["lane"])
+    write_layer(tmp_path / "paths.gpkg", shapely.LineString(truth + 30.0))
     held: list[Any] = []
     with running_studio(project.path) as studio, chromium.new_context(viewport=SCREEN) as context:
         page = open_page(context, studio.address, faults)
         page.get_by_role("tab", name="Draw").click()
         rows, waiting = page.locator("#features-table tbody tr[data-id]"), page.locator("#features-waiting li")
-        expect(rows).to_have_count(1)
+        page.get_by_label("Layer", exact=True).select_option(label="roads.gpkg")
+        expect(rows).to_contain_text(["lane"])
         image, chart, pixels = Pane(page, "image"), Pane(page, "map"), pixels_of(camera, truth)
         rest(page)
 
@@ -292,9 +296,89 @@ def test_what_is_drawn_next_keeps_the_keys_and_its_photo(chromium: Any, tmp_path
         page.keyboard.press("Escape")
         page.keyboard.press("Escape")
         expect(waiting).to_have_text(re.compile("A line of 2 vertices"))
-    drawn = corners_in(tmp_path / "roads.gpkg", 2)
-    assert np.hypot(*(pixels_of(camera, drawn) - pixels[:3]).T).max() < 0.7
+        rest(page)
+        drawn = corners_in(tmp_path / "roads.gpkg", 2)
+        assert np.hypot(*(pixels_of(camera, drawn) - pixels[:3]).T).max() < 0.7
+        change_quickly(page, tmp_path / "roads.gpkg", chart, truth)
+        before = corners_in(tmp_path / "roads.gpkg", slice(None))
+        look_elsewhere(page, image, chart, pixels, truth)
+        assert np.array_equal(corners_in(tmp_path / "roads.gpkg", slice(None)), before)
+        assert len(geopandas.read_file(tmp_path / "paths.gpkg")) == 1
     assert not faults
+
+
+def change_quickly(page: Any, path: Path, chart: Pane, truth: np.ndarray) -> None:
+    """Attributes typed, an edit taken back and vertices dragged while the answers to what was done before are held."""
+    from playwright.sync_api import expect
+
+    name, kind = page.get_by_label("name", exact=True), page.get_by_label("kind", exact=True)
+    page.locator("#features-table tr[data-id='1']").click()
+    with holding(page, "**/edits"):
+        name.fill("Main")
+        name.press("Tab")
+        page.keyboard.type("al")
+    rest(page)  # the layer was read anew
+    page.keyboard.type("ley")
+    with holding(page, "**/edits"):
+        page.keyboard.press("Enter")
+        name.fill("Main road")
+        name.press("Enter")
+    rest(page)
+    with holding(page, "**/edits"):
+        name.fill("wrong")
+        name.press("Enter")
+        page.keyboard.press("Control+z")
+        kind.fill("path")
+        kind.press("Enter")
+    rest(page)
+    expect(page.locator("#features-table tr[data-id='1']")).to_contain_text("path")
+    assert geopandas.read_file(path).loc[0, ["name", "kind"]].tolist() == ["Main road", "path"]
+
+    page.keyboard.press("v")
+    drag(page, chart.screen(truth[0]), chart.screen(truth[0] + [0.0, -50.0]))
+    with holding(page, "**/api/features/layers/*?map_layer=*"):
+        page.wait_for_timeout(50)
+        page.mouse.move(*chart.screen(truth[-1]))
+        page.mouse.down()
+        page.mouse.move(*chart.screen(truth[-1] + [0.0, -25.0]))
+    page.wait_for_timeout(200)  # for the page to show it, if it did not wait
+    page.mouse.move(*chart.screen(truth[-1] + [0.0, -50.0]))
+    page.mouse.up()
+    rest(page)
+    moved = corners_in(path, 0)[[0, -1]] - truth[[0, -1]]
+    assert np.allclose(moved, [0.0, -50.0], atol=3.0), moved
+
+
+def look_elsewhere(page: Any, image: Pane, chart: Pane, pixels: np.ndarray, truth: np.ndarray) -> None:
+    """Another photo and another layer are opened: what is done before their features are read changes none."""
+    from playwright.sync_api import expect
+
+    with holding(page, "**/api/features"):
+        page.keyboard.press("]")
+        expect(page.locator("#image-view .name")).to_have_text("second.tif")
+        drag(page, image.screen(pixels[2]), image.screen(pixels[2] + 25.0))
+        page.wait_for_timeout(100)
+    page.keyboard.press("[")
+    expect(page.locator("#image-view .name")).to_have_text("photo.tif")
+    rest(page)
+    with holding(page, "**/api/features"):
+        page.get_by_label("Layer", exact=True).select_option(label="paths.gpkg")
+        page.keyboard.press("d")
+        for place in [truth[1], truth[2], truth[2]]:
+            chart.click(place - [0.0, 40.0])
+    rest(page)
+
+
+@contextmanager
+def holding(page: Any, address: str) -> Iterator[None]:
+    """Block during which the first call of an address is held back."""
+    held: list[Any] = []
+    page.route(address, lambda request: held.append(request), times=1)
+    yield
+    while not held:
+        page.wait_for_timeout(20)
+    with page.expect_response(held[0].request.url):
+        held[0].continue_()
 
 
 def drop_what_conflicts(page: Any, path: Path) -> None:
@@ -320,9 +404,9 @@ def drop_what_conflicts(page: Any, path: Path) -> None:
     expect(row).to_contain_text("theirs")
 
 
-def write_layer(path: Path, geometry: Any) -> None:
+def write_layer(path: Path, geometry: Any, **fields: Any) -> None:
     """GeoPackage of one feature with a name, on the map."""
-    geopandas.GeoDataFrame({"name": ["first"]}, geometry=[geometry], crs=horizontal(GROUND.crs)).to_file(path)
+    geopandas.GeoDataFrame({"name": ["first"], **fields}, geometry=[geometry], crs=horizontal(GROUND.crs)).to_file(path)
 
 
 def corners_in(path: Path, rows: Any) -> np.ndarray:

@@ -153,11 +153,25 @@ def test_what_is_answered_late_does_not_win(chrome: Any, tmp_path: Path) -> None
         page.route("**/api/sheets/*", arrived)
         holding.add(second)
         choice.select_option("second.toml")
+        expect(page.locator("#sheet-print")).to_be_disabled()  # which would print the one that is shown still
         choice.select_option("wall.toml")
         expect(page.locator("#sheet-view .place")).to_contain_text("mm")
         release(second)
         expect(choice).to_have_value(wall.rpartition("/")[2])
         expect(name).to_have_text("wall.toml")
+        expect(title).to_have_value("Old title")
+
+        # An element is moved by keys, and another layout opened before that is saved.
+        expect(page.locator("[data-element=legend]")).to_be_visible()
+        page.locator("[data-element=legend]").focus()
+        page.keyboard.press("ArrowLeft")
+        choice.select_option("second.toml")
+        expect(name).to_have_text("second.toml")
+        page.wait_for_timeout(600)  # longer than a burst of keys lasts
+        assert "legend" not in tomllib.loads((tmp_path / "second.toml").read_text())
+        assert "position" in tomllib.loads(file.read_text())["legend"]
+        page.locator("#undo").click()
+        choice.select_option("wall.toml")
         expect(title).to_have_value("Old title")
 
         # The layout that was chosen is missing for a moment, as it is while an editor writes it.

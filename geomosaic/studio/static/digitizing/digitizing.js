@@ -101,6 +101,7 @@ export class Digitizing {
     studio.addEventListener("image", () => this.open && this.#openImage());
     studio.addEventListener("crs", () => this.open && this.#leaveMap());
     studio.addEventListener("project", () => this.open && this.load());
+    studio.addEventListener("takenback", () => this.edits.forget());
     studio.addEventListener("waiting", () => this.open && this.load());
   }
 
