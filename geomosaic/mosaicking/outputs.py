@@ -39,6 +39,8 @@ def rasters_of_earlier_run(output: Path) -> dict[str, Path]:
     dict
         Files by what they are; empty where no item says that it was a mosaic: what stands there may be a photo.
     """
+    if isinstance(output, StorePath):
+        output.check_writable()  # before another file there is asked for
     if not companion(output, "", ".stac.json").is_file():
         return {}
     names = {
