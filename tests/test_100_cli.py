@@ -189,7 +189,7 @@ def test_a_limit_that_cannot_be_kept_is_refused_with_the_least_that_can(tell, bl
 def test_a_limit_lowers_the_threads_that_nobody_asked_for(tell, block, tmp_path, monkeypatch):
     from geomosaic.cli import options as module
 
-    monkeypatch.setattr(module.os, "cpu_count", lambda: 64)
+    monkeypatch.setattr("geomosaic.options.memory.os.cpu_count", lambda: 64)
     given = []
     limited = module.threads_within_memory
     monkeypatch.setattr(module, "threads_within_memory", lambda values: given.append(limited(values)) or given[-1])
@@ -197,6 +197,12 @@ def test_a_limit_lowers_the_threads_that_nobody_asked_for(tell, block, tmp_path,
     for more in (["--mem-limit", "310M"], ["--mem-limit", "2G", "--threads", 2], []):
         assert tell(*words, *more)[0] == 0
     assert given == [{"threads": 2}, {"threads": 2}, {}]
+
+
+@pytest.mark.parametrize("command", ["match", "layover"])
+def test_a_limit_is_taken_by_commands_whose_memory_is_not_foretold(tell, tmp_path, command):
+    code, _, err = tell(command, tmp_path / "none.tif", "--mem-limit", "1G", "-o", tmp_path / "o.tif")
+    assert (code, "fault of geomosaic" in err) == (1, False)
 
 
 def test_sizes_are_read():

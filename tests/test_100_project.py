@@ -14,6 +14,8 @@ import pytest
 import rasterio
 from cli_rig import elsewhere, flags, photos
 
+from geomosaic.errors import InputError
+
 
 def test_new_reports_what_it_found_and_what_it_needs(tell, block, tmp_path):
     file = tmp_path / "p.toml"
@@ -115,8 +117,21 @@ def test_status_and_only_what_is_stale(tell, own):
 def test_a_memory_limit_heeds_what_the_project_asks_of_its_mosaic(tell, own):
     own.write_text(own.read_text().replace("[mosaic]", "[mosaic]\ntrue_ortho = true", 1))
     code, _, err = tell("run", own, "--mem-limit", "500M")
-    assert code == 2
-    assert "run takes up to 630M with 1 thread; write 630M" in err
+    assert code == 1
+    assert "--mem-limit: 500M is too little memory: run takes up to 630M with 1 thread" in err
+
+
+def test_a_memory_limit_of_the_library_leaves_as_many_threads_as_one_of_the_command(own, monkeypatch):
+    from geomosaic.jobs import project as module
+
+    given = []
+    monkeypatch.setattr("geomosaic.options.memory.os.cpu_count", lambda: 64)
+    monkeypatch.setattr(module, "run_steps", lambda *_, machine, **__: given.append(machine.threads))
+    for limit in (None, 530 << 20, 2 << 30):
+        module.run_project(own, memory_limit=limit)
+    assert given == [None, 2, 20]
+    with pytest.raises(InputError, match="440M is too little memory: run takes up to 450M with 1 thread"):
+        module.run_project(own, memory_limit=440 << 20)
 
 
 def test_a_failed_threshold_has_its_exit_code_with_everything_written(tell, own):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Collection, Mapping
 from functools import partial, wraps
@@ -10,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin
 
 import click
+from click.core import ParameterSource
 
 from geomosaic.cli.process import keep_memory, return_memory
 from geomosaic.cli.values import Choice, FilePath, Measure, Number, Scale, band_numbers, json_pairs, map_crs, pairs
 from geomosaic.errors import InputError
 from geomosaic.options.declaration import GROUPS, Declared, compose, declared, is_part
 from geomosaic.options.inputs import Area, BlockInputs, PlanarInputs
-from geomosaic.options.render import MEGABYTE, PER_THREAD, PROGRAM, UncertaintyOptions
+from geomosaic.options.render import RunningOptions, UncertaintyOptions
 
 if TYPE_CHECKING:
     from geomosaic.inputs.declarations import Block
@@ -282,26 +282,16 @@ def block_of(images: tuple[Path, ...], given: Mapping[str, Any]) -> Block:
     return compose(Block, {"images": without_side_cars(images), **given})
 
 
-# Megabytes at the peak of a command besides those of its threads, as measured: the program, what it loads, decoded
-# tiles, and a DEM that is read as it is needed.
-NEEDED = {
-    "ortho": 140,
-    "deskew": 140,
-    "reproject": 140,
-    "georeference": 210,
-    "coregister": 300,
-    "mosaic": PROGRAM // MEGABYTE,
-    "edges": PROGRAM // MEGABYTE,
-    "develop": PROGRAM // MEGABYTE,
-    "run": PROGRAM // MEGABYTE + 50,
-    "demo": PROGRAM // MEGABYTE + 50,
-}
-# More with an option, where one image is drawn and where several are: heights around a block that may hide it, bands of
-# the images that meet in a block. With both, those heights are needed twice: around the block, and around its seams.
-MORE = {("true_ortho", True): (40, 180)} | {
-    ("blend", kind): (0, 100) for kind in ("multiband", "overlap", "edge", "cutline")
-}
-BOTH = 230
+def chosen(name: str, options: RunningOptions) -> int | None:
+    """Value of an option, such as `threads`, if the user chose it.
+
+    Parameters
+    ----------
+    name : str
+    options : RunningOptions
+    """
+    given = click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
+    return getattr(options, name) if given else None
 
 
 def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
@@ -319,26 +309,21 @@ def threads_within_memory(given: Mapping[str, Any]) -> dict[str, int]:
     click.BadParameter
         The limit is below what the command takes with one thread, or with the threads that were asked for.
     """
-    limit, threads = given.get("memory_limit"), given.get("threads")
+    limit = given.get("memory_limit")
     if limit is None:
         keep_memory()
         return {}
+    from geomosaic.options.memory import NEEDED, threads_within
+
     command = click.get_current_context().info_name or ""
-    several = NEEDED[command] * MEGABYTE >= PROGRAM
-    found = [more[several] for (name, value), more in MORE.items() if given.get(name) == value]
-    alone = NEEDED[command] + sum(found) + (BOTH if several and len(found) > 1 else 0)
-    room = (limit - alone * MEGABYTE) // PER_THREAD
-    least = alone + (threads or 1) * PER_THREAD // MEGABYTE
-    if room < (threads or 1):
-        many = f"{threads or 1} thread{'s' if (threads or 1) > 1 else ''}"
-        fewer = f", or --threads {room}" if room > 0 else ""
-        raise click.BadParameter(
-            f"{limit // MEGABYTE}M is too little memory: {command} takes up to {least}M with {many}; write {least}M"
-            f"{fewer}, or leave it out",
-            param_hint="--mem-limit",
-        )
+    try:
+        threads = {"threads": threads_within(command, limit, given)} if command in NEEDED else {}
+    except InputError as error:
+        from geomosaic.cli.output import translated
+
+        raise click.BadParameter(translated(f"{error.what}; {error.hint}"), param_hint="--mem-limit") from error
     from geomosaic.raster.environment import limit_cache
 
     return_memory()
     limit_cache(limit)
-    return {"threads": min(room, threads or os.cpu_count() or 1)}
+    return threads

@@ -31,6 +31,7 @@ from geomosaic.jobs.steps.orient import orient
 from geomosaic.jobs.steps.report import check, failure, report
 from geomosaic.options.declaration import paths_of
 from geomosaic.options.inputs import CRS_FILES
+from geomosaic.options.memory import threads_within
 from geomosaic.options.naming import keys_in_errors
 from geomosaic.options.render import RenderOptions
 from geomosaic.project.load import Project, load_project
@@ -283,7 +284,7 @@ def run_project(
     sample : bool
         Run the sample block: twelve photos over relief, whose mosaic is compared with the truth.
     threads : int, optional
-        All processors unless given.
+        Unless given all processors, or as many as a limit that is given has room for.
     memory_limit : int, optional
         Bytes.
     workers : int, str, concurrent.futures.Executor or distributed.Client, optional
@@ -310,6 +311,10 @@ def run_project(
             raise InputError(f"`{useless[0]}` would do nothing with `dry_run`", hint=f"leave out `{useless[0]}`")
         return Outcome(project, status_of(project), None)
     only = (steps,) if isinstance(steps, str) else tuple(steps)
+    if memory_limit is not None:
+        wanted = project.options
+        asked = {"true_ortho": wanted.render.true_ortho, "blend": wanted.blending.blend}
+        threads = threads_within("run", memory_limit, {"threads": threads, **asked})
     machine = Machine(threads, memory_limit, workers)
     return run_steps(project, only=only, force=force, machine=machine, progress=progress, stop=stop)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from geomosaic.cli.options import FILE, options_of, running_options
+from geomosaic.cli.options import FILE, chosen, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import on_sigterm
 from geomosaic.cli.results import accuracy_lines, verdict
@@ -32,9 +32,8 @@ def command(folder: Path, as_json: bool, options: RenderOptions) -> int:
     say(f"the sample block and its mosaic are made in {folder}")
     stop = Stop()
     with notes(), progress(as_json) as report, on_sigterm(stop.ask):
-        done = run_project(
-            folder, sample=True, threads=options.threads, memory_limit=options.memory_limit, progress=report, stop=stop
-        )
+        threads, limit = chosen("threads", options), chosen("memory_limit", options)
+        done = run_project(folder, sample=True, threads=threads, memory_limit=limit, progress=report, stop=stop)
     facts = done.facts
     seconds = sum(state.seconds or 0.0 for state in done.states if not state.fresh)
     lines = [

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import NoReturn
 
 import click
-from click.core import ParameterSource
 
-from geomosaic.cli.options import FILE, options_of, running_options, threads_within_memory
+from geomosaic.cli.options import FILE, chosen, options_of, running_options
 from geomosaic.cli.output import answer, notes, progress, say
 from geomosaic.cli.process import check_stopped, on_sigterm
 from geomosaic.cli.results import outcome_text, verdict
@@ -50,14 +49,14 @@ def command(
     from geomosaic.jobs.project import run_project
     from geomosaic.jobs.run_control import Stop
 
-    threads = _threads(project, options)
+    threads, limit = chosen("threads", options), chosen("memory_limit", options)
 
     def once(force: bool) -> int:
         stop = Stop()
         with notes(), progress(as_json) as report, on_sigterm(stop.ask):
             done = run_project(
-                project, steps=steps, force=force, threads=threads, memory_limit=options.memory_limit,
-                workers=options.workers, progress=report, stop=stop,
+                project, steps=steps, force=force, threads=threads, memory_limit=limit, workers=options.workers,
+                progress=report, stop=stop,
             )  # fmt: skip
         answer({"steps": [asdict(state) for state in done.states], **done.facts}, outcome_text(done), as_json)
         return verdict(done.failure, as_json)
@@ -65,21 +64,6 @@ def command(
     if watch:
         _watch(project, once, force, as_json)
     return once(force)
-
-
-def _threads(project: Path, options: RenderOptions) -> int:
-    """Threads that a limit has room for, with what the project asks of its mosaic."""
-    from geomosaic.project.load import load_project
-
-    source_of = click.get_current_context().get_parameter_source
-    with suppress(GeomosaicError, OSError), warnings.catch_warnings():  # the run says them
-        warnings.simplefilter("ignore")
-        if source_of("memory_limit") is ParameterSource.COMMANDLINE:
-            wanted = load_project(project).options
-            given = {"memory_limit": options.memory_limit, "true_ortho": wanted.render.true_ortho}
-            chosen = {"threads": options.threads} if source_of("threads") is ParameterSource.COMMANDLINE else {}
-            return threads_within_memory({**given, **chosen, "blend": wanted.blending.blend})["threads"]
-    return options.threads
 
 
 def _watch(project: Path, once: Callable[[bool], int], force: bool, as_json: bool) -> NoReturn:
