@@ -3,7 +3,8 @@
 python -m benchmarks.rates FOLDER [--small] [--out geomosaic/planning/rates.json]
 
 Two blocks of synthetic photos, 60 and 20 % overlap along the strips, each matched, adjusted and drawn at two
-resolutions. Every stage is a process of its own; of its processor seconds and peak memory rates are solved.
+resolutions. Every stage is a process of its own; of its processor seconds and peak memory rates are solved. Seams by
+graph cuts are those of `benchmarks.seam_layout`: blocks of more than some 50 photos are laid in parts, these are not.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import description
-from benchmarks.process import ROOT, run
+from benchmarks.process import ROOT, helper, run
 
 RIGS = ROOT / "tests" / "rigs"
 ENTRY = f"import sys; sys.path[:0] = [{str(ROOT)!r}, {str(RIGS)!r}]; from benchmarks.rates import stage; stage()"
@@ -108,6 +109,7 @@ def rates(folder: Path, small: bool) -> dict[str, Any]:
     }
     for key, one in found.items():
         print(*key, one, flush=True)
+    seams = json.loads(helper("seam_layout", str(folder / "seams"), "4" if small else "10", "1"))
     dense = found["dense", "match"]
     photo, pair = solved(
         [[numbers[n] * pixels, found[n, "match"]["pairs"]] for n in BLOCKS], [found[n, "match"]["cpu"] for n in BLOCKS]
@@ -128,6 +130,7 @@ def rates(folder: Path, small: bool) -> dict[str, Any]:
         "match_s_per_pair": pair,
         "positions_per_photo": dense["positions"] / numbers["dense"],
         "adjust_s_per_position": found["dense", "adjust"]["cpu"] / dense["positions"],
+        "seams_s_per_photo": seams["seconds"] / seams["images"],
         "input_s_per_megapixel": read,
         "output_s_per_megapixel": write,
         "output_bytes_per_pixel": finest["bytes"] / finest["pixels"],

@@ -16,7 +16,8 @@ from geomosaic.planning.processing import ProcessingPlan
 RATES = {
     "date": "2026-01-01", "machine": {"processor": "abacus", "cores": 2}, "features_s_per_megapixel": 0.1,
     "photos": {}, "match_s_per_pair": 0.5, "positions_per_photo": 1000.0, "adjust_s_per_position": 1e-4,
-    "input_s_per_megapixel": 0.02, "output_s_per_megapixel": 0.05, "output_bytes_per_pixel": 2.0, "match_mb": 400.0,
+    "seams_s_per_photo": 0.3, "input_s_per_megapixel": 0.02, "output_s_per_megapixel": 0.05,
+    "output_bytes_per_pixel": 2.0, "match_mb": 400.0,
     "match_mb_per_photo": 2.0, "adjust_mb": 200.0, "adjust_mb_per_position": 1e-3, "mosaic_mb": 900.0,
 }  # fmt: skip
 BLOCK = {"photos": 1000, "photo_size": (5000, 4000), "ground_pixel": 0.1, "overlap": 60.0, "sidelap": 30.0}
@@ -48,6 +49,18 @@ def test_stages_are_what_their_formulas_say(tmp_path: Path) -> None:
     assert found.core_hours == pytest.approx(found.seconds / 3600 * 20)
     assert found.cost == pytest.approx(found.core_hours * 0.1)
     assert not found.misfits
+
+
+def test_seams_by_graph_cuts_are_a_stage_that_reads_the_photos_once(tmp_path: Path) -> None:
+    found = planned(tmp_path, workers=5, cores=4, oriented=True, seams="graph-cut")
+    assert [stage.name for stage in found.stages] == ["seams", "mosaic"]
+    seams = found.stages[0]
+    assert (seams.processor_seconds, seams.seconds) == (pytest.approx(300.0), pytest.approx(15.0))
+    assert (seams.read_bytes, seams.memory) == (pytest.approx(8e9), pytest.approx(9e8))
+
+
+def test_a_few_photos_have_no_more_pairs_than_there_are(tmp_path: Path) -> None:
+    assert [planned(tmp_path, photos=number).pairs for number in (1, 2, 4)] == [0, 1, 6]
 
 
 def test_what_limits_a_stage_is_named(tmp_path: Path) -> None:
@@ -101,3 +114,11 @@ def test_numbers_that_make_no_sense_are_refused(given: dict[str, Any], part: str
     with pytest.raises(InputError) as caught:
         gm.plan("run", **{**BLOCK, **given})
     assert part in str(caught.value)
+
+
+def test_columns_of_the_table_do_not_run_into_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    for photos in ("1", "1000000000000"):
+        assert run(["plan", "run", "--photos", photos, "--photo-size", "4000", "3000", "--ground-pixel", "0.3"]) == 0
+        match, adjust, mosaic = capsys.readouterr().out.splitlines()[2:5]
+        for line in (match, adjust, mosaic):
+            assert len(line.split()) == 13, line  # name, six columns of which one has no unit, and what limits

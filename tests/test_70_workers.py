@@ -193,6 +193,7 @@ def test_errors_of_the_user_come_back_as_they_are_and_others_are_tried_again(tmp
         ("tcp://127.0.0.1:65536", "neither a number"),
         ("two", "neither a number"),
         (True, "not a whole number"),
+        ([2], "cannot be of type list"),
     ],
 )
 def test_workers_that_cannot_be_are_refused_at_once(given, words) -> None:

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass
 from itertools import islice
+from textwrap import shorten
 from typing import Any, TypeVar
 
 from geomosaic.errors import GeomosaicError, RasterReadError, WorkerError, warn
@@ -118,7 +119,7 @@ class _Units:
         why = str(error) if isinstance(error, UnitsLostError) else f"{type(error).__name__}: {error}"
         named = WorkerError(
             f"the unit was begun {RETRIES + 1} times and lost every time ({why})",
-            where=str(item),
+            where=shorten(str(item), 120, placeholder=" ..."),  # of some it tells arrays
             hint="look into the logs of the workers; with less memory each than a unit needs, give them more",
         )
         named.__cause__ = error

@@ -175,6 +175,7 @@ class ProcessingOptions(CheckedOptions):
         60.0, "Overlap of the strips.", least=0.0, most=95.0, unit="%", metavar="PERCENT", shown="60"
     )
     oriented: bool = option(False, "Orientations are known: nothing is matched and adjusted.", flag="--oriented")
+    seams: str = option("nearest", "How seams are laid, see `geomosaic mosaic`.", choices=("nearest", "graph-cut"))
     workers: int = option(1, "Machines that match photos and draw the mosaic.", least=1)
     cores: int = option(2, "Cores of each.", least=1)
     memory: int = option(

@@ -85,6 +85,15 @@ class WorkerOptions(CheckedOptions, group="running", stage="running"):
         least=1, metavar="N|ADDRESS", parse=_parse_workers, shown="none",
     )  # fmt: skip
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.workers is None or isinstance(self.workers, int | str) or hasattr(self.workers, "submit")):
+            raise InputError(
+                f"workers cannot be of type {type(self.workers).__name__}",
+                where="`workers`",
+                hint="give a number, the address of a Dask scheduler, its client, or an executor",
+            )
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunningOptions(WorkerOptions, group="running", stage="running"):

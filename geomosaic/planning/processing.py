@@ -19,8 +19,8 @@ from geomosaic.whole_files import read_text
 
 # Rates that come with the package.
 _OWN = Path(__file__).with_name("rates.json")
-# Passes over the images: matching, colours, rendering.
-_MATCHED, _DRAWN = 1, 2
+# Passes over the images: matching; seams; colours and rendering.
+_MATCHED, _COMPARED, _DRAWN = 1, 1, 2
 _MEGABYTE = 1e6
 # Bytes per pixel of a photo as JPEG, where its file size is not given.
 _JPEG = 0.4
@@ -33,7 +33,7 @@ class ProcessingStage:
     Attributes
     ----------
     name : str
-        'match', 'adjust' or 'mosaic'.
+        'match', 'adjust', 'seams' or 'mosaic'.
     processor_seconds : float
     seconds : float
         By the clock.
@@ -123,6 +123,7 @@ def processing_plan(wanted: ProcessingOptions) -> ProcessingPlan:
     area = wanted.photos * (1.0 - along) * (1.0 - across) * width * height * wanted.ground_pixel**2
     pixels = area / (wanted.ortho_pixel or wanted.ground_pixel) ** 2
     pairs = round(wanted.photos * ((2 * _neighbours(along) + 1) * (2 * _neighbours(across) + 1) - 1) / 2)
+    pairs = min(pairs, wanted.photos * (wanted.photos - 1) // 2)
     positions = 0 if wanted.oriented else round(wanted.photos * rates["positions_per_photo"])
     size = wanted.photos * (wanted.photo_bytes or _JPEG * width * height)
     stages = []
@@ -132,9 +133,12 @@ def processing_plan(wanted: ProcessingOptions) -> ProcessingPlan:
         stages.append(_stage("match", cpu, wanted.workers, wanted, _MATCHED * size, 0.0, memory))
         memory = (rates["adjust_mb"] + positions * rates["adjust_mb_per_position"]) * _MEGABYTE
         stages.append(_stage("adjust", positions * rates["adjust_s_per_position"], 1, wanted, 0.0, 0.0, memory))
+    memory = rates["mosaic_mb"] * _MEGABYTE
+    if wanted.seams == "graph-cut":
+        cpu = wanted.photos * rates["seams_s_per_photo"]
+        stages.append(_stage("seams", cpu, wanted.workers, wanted, _COMPARED * size, 0.0, memory))
     cpu = wanted.photos * megapixels * rates["input_s_per_megapixel"] + pixels / 1e6 * rates["output_s_per_megapixel"]
     written = pixels * rates["output_bytes_per_pixel"]
-    memory = rates["mosaic_mb"] * _MEGABYTE
     stages.append(_stage("mosaic", cpu, wanted.workers, wanted, _DRAWN * size, written, memory))
     hours = sum(stage.seconds for stage in stages) / 3600.0 * wanted.workers * wanted.cores
     misfits = [

@@ -259,6 +259,7 @@ def run_command(as_json: bool, options: dict[str, Any]) -> None:
     Formulas, with rates that were measured (date and machine are printed):
       match    photos · megapixels · rate + pairs · rate       on all machines
       adjust   image positions · rate                          on one machine
+      seams    photos · rate, with --seams graph-cut           on all machines
       mosaic   photos · megapixels · rate + output · rate      on all machines
     A stage takes the longest of its processors, its reading and its writing. Rates of your own machine are made by
     `python -m benchmarks.rates FOLDER --out rates.json` in the source tree.
@@ -270,13 +271,13 @@ def run_command(as_json: bool, options: dict[str, Any]) -> None:
     lines = [
         f"{counted(found.photos, 'photo')}, {found.area / 1e6:.4g} km², mosaic of {found.pixels / 1e9:.4g} gigapixels"
         + (f", {found.positions} image positions in {found.pairs} pairs" if found.positions else ""),
-        f"{'':8}{'time':>10}{'processor':>12}{'cores':>7}{'read':>10}{'written':>10}{'memory':>10}  limited by",
+        f"{'':8} {'time':>9} {'processor':>11} {'cores':>6} {'read':>9} {'written':>9} {'memory':>9}  limited by",
     ]
     for stage in found.stages:
         read, written, memory = (_size(size) for size in (stage.read_bytes, stage.written_bytes, stage.memory))
         lines.append(
-            f"{stage.name:8}{_duration(stage.seconds):>10}{_duration(stage.processor_seconds):>12}{stage.cores:>7}"
-            f"{read:>10}{written:>10}{memory:>10}  {stage.limited_by}"
+            f"{stage.name:8} {_duration(stage.seconds):>9} {_duration(stage.processor_seconds):>11} {stage.cores:>6} "
+            f"{read:>9} {written:>9} {memory:>9}  {stage.limited_by}"
         )
     price = "" if found.cost is None else f", cost {_number(found.cost)}"
     lines.append(f"{_duration(found.seconds)} in all, {_number(found.core_hours)} core hours{price}")
