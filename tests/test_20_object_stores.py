@@ -14,6 +14,7 @@ from rigs.object_store import Proxy, Server
 
 from geomosaic.errors import GeomosaicError, InputError
 from geomosaic.geo.grid import Window
+from geomosaic.mosaicking.outputs import rasters_of_earlier_run
 from geomosaic.raster.files import check_output
 from geomosaic.raster.source import Source
 from geomosaic.stores import clients, objects
@@ -79,8 +80,9 @@ def test_an_address_that_only_a_file_names_is_not_opened() -> None:
 
 
 def test_https_is_refused_as_an_output() -> None:
-    with pytest.raises(InputError, match="read only"):
-        _check(given_path("https://127.0.0.1/a.txt"))
+    for asked in (_check, rasters_of_earlier_run):
+        with pytest.raises(InputError, match="read only"):
+            asked(given_path("https://127.0.0.1/a.txt"))
 
 
 def _check(path: Path) -> None:
