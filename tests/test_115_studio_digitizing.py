@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -336,8 +336,8 @@ def change_quickly(page: Any, path: Path, chart: Pane, truth: np.ndarray) -> Non
 
     page.keyboard.press("v")
     drag(page, chart.screen(truth[0]), chart.screen(truth[0] + [0.0, -50.0]))
-    with holding(page, "**/api/features/layers/*?map_layer=*"):
-        page.wait_for_timeout(50)
+    with holding(page, "**/api/features/layers/*?map_layer=*") as arrived:
+        arrived()
         page.mouse.move(*chart.screen(truth[-1]))
         page.mouse.down()
         page.mouse.move(*chart.screen(truth[-1] + [0.0, -25.0]))
@@ -370,13 +370,20 @@ def look_elsewhere(page: Any, image: Pane, chart: Pane, pixels: np.ndarray, trut
 
 
 @contextmanager
-def holding(page: Any, address: str) -> Iterator[None]:
-    """Block during which the first call of an address is held back."""
+def holding(page: Any, address: str) -> Iterator[Callable[[], None]]:
+    """Block during which the first call of an address is held back; what it gives waits for that call."""
     held: list[Any] = []
+
+    def arrived() -> None:
+        for _ in range(1000):
+            if held:
+                return
+            page.wait_for_timeout(20)
+        raise AssertionError(f"{address} is not asked for")
+
     page.route(address, lambda request: held.append(request), times=1)
-    yield
-    while not held:
-        page.wait_for_timeout(20)
+    yield arrived
+    arrived()
     with page.expect_response(held[0].request.url):
         held[0].continue_()
 

@@ -194,6 +194,19 @@ def test_what_is_answered_late_does_not_win(chrome: Any, tmp_path: Path) -> None
         expect(page.locator("#undo")).to_have_attribute("title", "Undo: sheet and paper: subtitle")
         assert tomllib.loads(file.read_text())["sheet"] == {"title": "Last", "subtitle": "of two", "paper": "A4"}
 
+        # A layer gets a title, with which the form is made anew while another field is being written.
+        page.locator("summary", has_text="Layers").click()
+        holding.add(wall)
+        page.locator("#sheet-form-layer-0-title").fill("Streets")
+        page.locator("#sheet-form-layer-0-title").press("Tab")
+        page.locator("#sheet-form-layer-0-color").focus()
+        page.keyboard.type("#123456")
+        release(wall)
+        expect(page.locator("#sheet-form-layer-0-color")).to_have_value("#123456")
+        page.locator("#sheet-form-layer-0-title").focus()
+        expect(page.locator("#undo")).to_have_attribute("title", "Undo: layer Streets: color")
+        assert tomllib.loads(file.read_text())["layer"][0]["color"] == "#123456"
+
         # A layout is begun while the page still reads the last one.
         holding.add(wall)
         with page.expect_request(f"**{wall}"):

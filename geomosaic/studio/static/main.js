@@ -129,7 +129,7 @@ class Studio extends EventTarget {
       this.#markImage(image);
     }
     await this.showMap();
-    if (!before && !errors) this.say("ready");
+    if (!before && !byId("status").classList.contains("bad")) this.say("ready");
     this.dispatchEvent(new Event("project"));
     const steps = await get("/api/steps");
     if (serial !== this.loading) return;
@@ -217,6 +217,7 @@ class Studio extends EventTarget {
     if (moved) this.dispatchEvent(new Event("crs")); // places of the map are no longer what they were
     if (main) {
       const projection = stays ? this.mapView.map.getView().getProjection() : this.mapView.startMap(main, main.crs_name ?? "Map");
+      if (kept && before.has(main.id) && !stays && !moved) this.mapView.map.getView().fit(kept);
       for (const layer of layers) {
         const onMap = layer.on_map && layer.map_crs === main.map_crs;
         const shown = stays && same(old.get(layer.id), layer) ? before.get(layer.id) : null;
@@ -249,7 +250,6 @@ class Studio extends EventTarget {
         if (own) own.layer = { ...layer, version };
       }
       if (!(await this.attempt(() => this.drawOutlines(projection, before)))) this.mapKey = "";
-      if (kept && before.has(main.id) && !stays) this.mapView.map.getView().fit(kept);
     } else {
       entries = layers.map((/** @type {any} */ layer) => ({ layer, drawn: null, why: layer.error ?? "not north up, or without a georeference" }));
       this.mapView.empty("No mosaic and no reference yet");

@@ -46,7 +46,7 @@ export class Control {
       element("div", { class: "tools" }, this.areaButton, this.writeButton),
     );
     studio.addEventListener("image", () => this.#other());
-    studio.addEventListener("crs", () => this.placement.start(false));
+    studio.addEventListener("crs", () => this.open && this.placement.start(false));
     studio.addEventListener("takenback", () => this.advice.clear());
     studio.addEventListener("project", () => this.open && this.load());
   }
@@ -169,7 +169,7 @@ export class Control {
     this.area = null;
     this.selected = null;
     this.advice.clear();
-    this.placement.start(false);
+    if (this.open) this.placement.start(false); // else another tool may be drawing
     this.state = null;
     this.panes.clear();
     if (this.open) this.load();

@@ -32,7 +32,7 @@ export class Edits {
     const made = await this.#edit(place, [{ id: null, geometry: side.write(geometry) }], key);
     if (made && place.layer === tool.choice.value && [selected, this.made].includes(tool.selected)) {
       tool.selected = this.made = made.ids[0];
-      tool.form.waiting = side.view.canvas;
+      if (!sketch.going) tool.form.waiting = side.view.canvas;
     }
     if (!made && places.length && !sketch.going && tool.open && JSON.stringify(place) === JSON.stringify(this.#place(side))) {
       sketch.key = key;

@@ -65,8 +65,10 @@ function fieldOf(field, { id, change }) {
       saved = textOf(value);
       if (!typing) input.value = saved;
     };
+    input.addEventListener("input", () => { input.dataset.typed = "1"; });
     input.addEventListener("change", () => {
       typing = false;
+      delete input.dataset.typed;
       change(valueOf(field, input.value));
     });
     input.addEventListener("blur", () => { if (typing) input.value = saved; });
@@ -130,7 +132,11 @@ export class LayoutForm {
    */
   #make(form, layers, vectors) {
     const open = new Set([...this.place.querySelectorAll("details[open]")].map((one) => one.id));
-    const focused = document.activeElement && this.place.contains(document.activeElement) ? document.activeElement.id : "";
+    const active = /** @type {any} */ (document.activeElement);
+    const focused = this.place.contains(active) ? active.id : "", typed = active?.dataset.typed && active.value;
+    const layerOf = (/** @type {any} */ one) => one?.closest("[data-of]")?.dataset.of;
+    const own = layerOf(active);
+    if (typed) active.value = ""; // half a value is not saved as it goes
     const first = !this.place.querySelector("details");
     this.fields = [];
     const groups = form.map(({ table, keys }) => {
@@ -141,7 +147,12 @@ export class LayoutForm {
       return element("details", { id, open: open.has(id) || (first && table === "sheet") }, element("summary", {}, title), ...body);
     });
     this.place.replaceChildren(...groups);
-    if (focused) document.getElementById(focused)?.focus();
+    const again = /** @type {any} */ (focused && document.getElementById(focused));
+    if (!again) return;
+    again.focus();
+    if (!typed || layerOf(again) !== own) return;
+    again.value = typed; // which the field takes for its own when it is left
+    again.addEventListener("blur", () => again.dispatchEvent(new Event("change")), { once: true, capture: true });
   }
 
   /**
@@ -165,7 +176,7 @@ export class LayoutForm {
     const cards = layers.map((layer, index) => {
       const name = nameOf(layer), of = [layer.file ?? null, layer.layer ?? null];
       const move = (/** @type {number} */ to, /** @type {string} */ where) => this.edit([{ layer: "move", index, of, to }], `layer ${name} moved ${where}`);
-      return element("div", { class: "card", role: "group", "aria-label": `Layer ${name}` },
+      return element("div", { class: "card", role: "group", "aria-label": `Layer ${name}`, "data-of": JSON.stringify(of) },
         element("div", { class: "head" }, element("strong", { class: "grow" }, name),
           element("button", { "aria-label": `Draw ${name} below`, title: "Below", disabled: index === 0, onclick: () => move(index - 1, "down") }, "↓"),
           element("button", { "aria-label": `Draw ${name} above`, title: "Above", disabled: index === layers.length - 1, onclick: () => move(index + 1, "up") }, "↑"),
