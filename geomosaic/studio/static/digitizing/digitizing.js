@@ -99,6 +99,7 @@ export class Digitizing {
       element("div", { class: "tools" }, snap, shared, trace), this.waiting.list, this.notes, this.pointer.figures, this.form.box,
     );
     studio.addEventListener("image", () => this.open && this.#openImage());
+    studio.addEventListener("map", () => this.open && this.#takePicture());
     studio.addEventListener("crs", () => this.open && this.#leaveMap());
     studio.addEventListener("project", () => this.open && this.load());
     studio.addEventListener("takenback", () => this.edits.forget());
@@ -181,11 +182,16 @@ export class Digitizing {
     const id = this.studio.image?.id ?? "";
     if (id !== this.imageId) {
       this.serial += 1;
-      if (this.image.sketched.length || this.mode === "move") this.setMode(this.mode);
+      if (this.image.sketched.length || !this.sketch.going) this.setMode(this.mode);
       this.image.clear();
     }
     this.imageId = id;
     this.load();
+  }
+
+  /** Go on with what the pointer does in a picture that was not there yet when that began. */
+  #takePicture() {
+    if (this.mode !== "choose" && !this.sketch.going && [this.image, this.map].some((side) => side.view.home && !side.interactions.length)) this.setMode(this.mode);
   }
 
   /** Leave what was begun on the map, whose places are in another CRS now; the project is being read, and with it the layer. */
@@ -307,6 +313,7 @@ export class Digitizing {
   /** @param {string} mode 'choose', 'draw' or 'move' */
   setMode(mode) {
     const able = this.open && this.layer && !this.layer.fixed;
+    if (this.open && !this.layer && mode !== "choose") this.studio.say(this.overview && !this.overview.layers.length ? "create a layer first" : "the layer is still being read", true);
     const left = this.sketch.going; // what was drawn stays to be gone on with
     this.mode = able ? mode : "choose";
     if (left) this.sketch.leave();
