@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -221,12 +222,14 @@ def test_addresses_of_this_machine_and_encrypted_ones_are_taken() -> None:
     assert RenderOptions(workers="3").workers == 3
 
 
-def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch) -> None:
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch) -> None:
     pytest.importorskip("distributed", reason="Dask is not here: pip install 'geomosaic[cluster]'")
     monkeypatch.setattr("geomosaic.execution.cluster.SCHEDULER_TIMEOUT", 0.2)
-    with pytest.raises(WorkerError, match="no Dask scheduler answers") as caught:
-        list(map_units(float, [1], RenderOptions(workers="tcp://127.0.0.1:9")))
-    assert caught.value.where == "tcp://127.0.0.1:9"
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        for port, why in ((9, "Timed out"), (mute.getsockname()[1], "what listens there says nothing")):
+            with pytest.raises(WorkerError, match=rf"no Dask scheduler answers \({why}") as caught:
+                list(map_units(float, [1], RenderOptions(workers=f"tcp://127.0.0.1:{port}")))
+            assert caught.value.where == f"tcp://127.0.0.1:{port}"
 
 
 def test_an_encrypted_scheduler_without_certificates_is_not_tried() -> None:

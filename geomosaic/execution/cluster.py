@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future, wait
 from contextlib import suppress
 from typing import Any
 
@@ -237,8 +237,20 @@ def _client(address: str) -> Any:
             hint="set distributed.comm.tls there, or variables such as DASK_DISTRIBUTED__COMM__TLS__CA_FILE "
             "(and ..._TLS__CLIENT__CERT, ..._TLS__CLIENT__KEY)",
         )
+    found: Future[Any] = Future()
+
+    def connect() -> None:
+        try:
+            found.set_result(Client(address, timeout=SCHEDULER_TIMEOUT, security=security, set_as_default=False))
+        except BaseException as error:
+            found.set_exception(error)
+
+    # In a thread of its own: Dask has no end of waiting for the greeting of what listens there and is no scheduler.
+    threading.Thread(target=connect, name="geomosaic-connect", daemon=True).start()
     try:
-        return Client(address, timeout=SCHEDULER_TIMEOUT, security=security, set_as_default=False)
+        if not wait([found], 2 * SCHEDULER_TIMEOUT).done:
+            raise TimeoutError("what listens there says nothing")
+        return found.result()
     except (OSError, TimeoutError, TypeError, ValueError) as error:
         raise WorkerError(
             f"no Dask scheduler answers ({error})",
