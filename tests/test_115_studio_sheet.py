@@ -93,10 +93,19 @@ def test_a_title_is_changed_a_legend_moved_and_the_sheet_printed(chrome: Any, tm
         file.write_text(file.read_text().replace("Kite", "Kites"))
         expect(title).to_have_value("Valley of the Kites")
 
+        held: list[Any] = []  # what is typed is printed, though it is being saved still
+        page.route(
+            "**/api/sheets/*", lambda one: held.append(one) if one.request.method == "PATCH" else one.continue_()
+        )
+        page.locator("#sheet-form-sheet-subtitle").fill("By the river")
         page.get_by_role("button", name="Print").click()
+        page.wait_for_timeout(200)
+        held.pop().continue_()
+        page.unroute("**/api/sheets/*")
         expect(page.locator("#sheet-printed")).to_have_text("printed: output/wall-sheet.pdf")
         text = SheetPdf(tmp_path / "output" / "wall-sheet.pdf").text
         assert "Valley of the Kites" in text
+        assert "By the river" in text
         assert "Old title" not in text
         expect(page.get_by_role("button", name="Print again")).to_be_visible()
 
@@ -202,6 +211,7 @@ def test_what_is_answered_late_does_not_win(chrome: Any, tmp_path: Path) -> None
         page.locator("#sheet-form-layer-0-color").focus()
         page.keyboard.type("#123456")
         release(wall)
+        expect(page.get_by_role("group", name="Layer Streets")).to_be_visible()
         expect(page.locator("#sheet-form-layer-0-color")).to_have_value("#123456")
         page.locator("#sheet-form-layer-0-title").focus()
         expect(page.locator("#undo")).to_have_attribute("title", "Undo: layer Streets: color")
