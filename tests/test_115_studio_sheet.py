@@ -94,12 +94,15 @@ def test_a_title_is_changed_a_legend_moved_and_the_sheet_printed(chrome: Any, tm
         expect(title).to_have_value("Valley of the Kites")
 
         held: list[Any] = []  # what is typed is printed, though it is being saved still
+        printed: list[Any] = []
+        page.on("request", lambda one: one.url.endswith("/print") and printed.append(one))
         page.route(
             "**/api/sheets/*", lambda one: held.append(one) if one.request.method == "PATCH" else one.continue_()
         )
         page.locator("#sheet-form-sheet-subtitle").fill("By the river")
         page.get_by_role("button", name="Print").click()
         page.wait_for_timeout(200)
+        assert not printed
         held.pop().continue_()
         page.unroute("**/api/sheets/*")
         expect(page.locator("#sheet-printed")).to_have_text("printed: output/wall-sheet.pdf")
