@@ -27,6 +27,13 @@ const PICTURE_KEYS = [
   ["Enter", "click at the cross; twice ends a line or an area. Where things are dragged: take hold, and drop"],
 ];
 
+/**
+ * Whether two images are shown by the same picture.
+ * @param {any} one
+ * @param {any} other
+ */
+const samePicture = (one, other) => Boolean(one && other) && ["id", "version", "error"].every((key) => one[key] === other[key]);
+
 /** The studio of the page: what modules of single tasks work with. */
 class Studio extends EventTarget {
   constructor() {
@@ -122,8 +129,7 @@ class Studio extends EventTarget {
     this.showHistory(project.history);
     if (!before) this.chooseView(project.layers.some((/** @type {any} */ one) => one.on_map) ? (project.images.length ? "both" : "map") : "image");
     const image = [...project.images, ...project.layers].find((one) => one.id === this.imageId) ?? project.images[0] ?? null;
-    const facts = (/** @type {any} */ one) => JSON.stringify(one && [one.id, one.version, one.error]);
-    if (facts(image) !== facts(this.opening)) await this.chooseImage(image);
+    if (!samePicture(image, this.opening)) await this.chooseImage(image);
     else {
       if (this.image === this.opening) this.image = this.opening = image; // others of its facts need no new picture
       this.#markImage(image);
@@ -179,7 +185,7 @@ class Studio extends EventTarget {
   openImage(image) {
     this.imageId = image.id;
     if (byId("views").dataset.view === "map") this.chooseView("both");
-    return this.chooseImage(image);
+    return samePicture(image, this.opening) ? undefined : this.chooseImage(image); // else the part that is shown stays
   }
 
   /** @param {number} step to the next or the previous image */
