@@ -449,7 +449,7 @@ async function start() {
       const own = hasJustChanged() || studio.runs.atWork;
       studio.attempt(async () => {
         await studio.load();
-        if (!own && studio.project.messages.every((/** @type {any} */ one) => one.kind !== "error")) studio.say(`changed: ${event.files.slice(0, 4).join(", ")}`);
+        if (!own && studio.project?.messages.every((/** @type {any} */ one) => one.kind !== "error")) studio.say(`changed: ${event.files.slice(0, 4).join(", ")}`);
         studio.dispatchEvent(new CustomEvent("changed", { detail: event.files }));
       });
     },

@@ -176,7 +176,7 @@ export class BlockTool {
     const rms = image.rms === null ? "" : `, RMS ${shown(image.rms, 2)} px`;
     const out = image.left_out ? `, ${image.left_out} left out` : "";
     const words = image.by === "project" ? "set aside in the project file" : image.by ? `set aside by the adjustment: ${image.aside}` : `${ties}${rms}${out}`;
-    const entry = this.studio.project.images.find((/** @type {any} */ one) => one.id === image.id);
+    const entry = this.studio.project?.images.find((/** @type {any} */ one) => one.id === image.id);
     const aside = image.by === "project";
     return element("li", { class: "pair" },
       element("button", { class: "row", "data-id": image.id, "data-does": "open", "aria-current": String(image.id === this.studio.image?.id), onclick: () => entry && this.studio.openImage(entry) },

@@ -52,9 +52,12 @@ export class Panes {
     return [(at[0] - c) / a, (at[1] - f) / e];
   }
 
-  /** @param {number[]} pixel of the layer */
-  mapPlace(pixel) {
-    const [a, , c, , e, f] = this.layer.affine;
+  /**
+   * @param {number[]} pixel
+   * @param {any} layer
+   */
+  mapPlace(pixel, layer) {
+    const [a, , c, , e, f] = layer.affine;
     return [c + a * pixel[0], f + e * pixel[1]];
   }
 
@@ -64,14 +67,15 @@ export class Panes {
    * @param {number[]} at
    */
   async expected(side, at) {
-    if (!this.layer || !this.control.state?.predicts) return null;
+    const { layer } = this; // another one may be shown once this is answered
+    if (!layer || !this.control.state?.predicts) return null;
     const query = this.control.query();
     const pixel = side === "map" ? this.layerPixel(at) : at;
     query.set(side === "map" ? "map_col" : "col", String(pixel[0]));
     query.set(side === "map" ? "map_row" : "row", String(pixel[1]));
     const found = await get(`/api/control/${this.studio.image.id}/expected?${query}`);
     if (found.col === null) return null;
-    return side === "map" ? [found.col, found.row] : this.mapPlace([found.col, found.row]);
+    return side === "map" ? [found.col, found.row] : this.mapPlace([found.col, found.row], layer);
   }
 
   /**
