@@ -18,6 +18,7 @@ export class Runs {
   state = "";
   serial = 0; // of the state that is shown
   seenAt = -Infinity; // when a run was last seen at work
+  ended = 0; // runs that were seen to end
 
   /** @param {any} studio */
   constructor(studio) {
@@ -85,6 +86,7 @@ export class Runs {
     }
     this.#enable();
     if (UNDER_WAY.includes(before) && !active) {
+      this.ended += 1;
       this.studio.attempt(() => this.studio.load());
       this.studio.say(`the run: ${words}`, this.state === "failed");
     }

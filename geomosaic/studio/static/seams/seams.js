@@ -324,9 +324,9 @@ export class Seams {
    */
   #edit(act, values, done) {
     return this.studio.attempt(async () => {
-      const serial = ++this.serial;
+      const serial = ++this.serial, { ended } = this.studio.runs;
       const state = await edit("POST", `/api/seams/${act}`, values);
-      if (done) this.studio.say(`${done}; the mosaic is made anew there`);
+      if (done) this.studio.say(ended === this.studio.runs.ended ? `${done}; the mosaic is made anew there` : done);
       if (serial === this.serial) this.render(state);
       return true;
     });
