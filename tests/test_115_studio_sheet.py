@@ -100,7 +100,8 @@ def test_a_title_is_changed_a_legend_moved_and_the_sheet_printed(chrome: Any, tm
             "**/api/sheets/*", lambda one: held.append(one) if one.request.method == "PATCH" else one.continue_()
         )
         page.locator("#sheet-form-sheet-subtitle").fill("By the river")
-        page.get_by_role("button", name="Print").click()
+        with page.expect_request(lambda one: one.method == "PATCH"):
+            page.get_by_role("button", name="Print").click()
         page.wait_for_timeout(200)
         assert not printed
         held.pop().continue_()
