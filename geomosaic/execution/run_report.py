@@ -156,9 +156,9 @@ class RunReport:
 
     @property
     def status(self) -> str:
-        """Workers and lost units, in a few words."""
+        """Workers that are at work, and lost units, in a few words."""
         lost = self.lost.total()
-        words = counted(len(self.workers), "worker")
+        words = counted(min(len(self.workers), self.slots), "worker")  # fewer than have been
         return f"{words}, {counted(lost, 'unit')} lost" if lost else words
 
     def __str__(self) -> str:
