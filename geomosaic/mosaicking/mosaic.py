@@ -185,7 +185,7 @@ def _along_seams(given: _Given, files: MosaicFiles, options: MosaicOptions) -> M
         if not files.tiled:
             rasters = {"mosaic": files.mosaic, "labels": files.labels, "views": files.views}
             earlier_files = {name: path for name, path in rasters.items() if path is not None}
-            reuse = reuse_of(options, earlier_run, keys, len(photos), earlier_files)
+            reuse = reuse_of(options, earlier_run, keys, earlier_files)
         with Timer(seconds, "mosaic"):
             pixels = render_mosaic(blender, files, options, reuse, water, keys if files.tiled else None)
         digest = sha256 if earlier_run is None else earlier_run.digest

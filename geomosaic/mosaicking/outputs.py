@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from geomosaic.options.render import BLOCK_WIDTH
 from geomosaic.raster.files import check_output, check_output_size, companion
 from geomosaic.raster.info import inspect
 from geomosaic.stores.path import StorePath
-from geomosaic.types import AnyArray, ByteArray, FloatArray, IntArray
+from geomosaic.types import AnyArray, ByteArray, FloatArray
 from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
@@ -328,8 +329,8 @@ class MosaicUnit:
     label : array (rows, cols)
         Number of the image with the most weight, counted from 1; 0 where none; the number after the last image where
         the surface hides the ground from all images that cover it.
-    counts : int array (images + 2,)
-        Pixels by label.
+    counts : Counter of int
+        Pixels by label, of those labels alone that occur: a unit shows few of thousands of images.
     facts : list of (error, scale)
         Of the lattices used: largest error in pixels, image pixels per output pixel.
     """
@@ -338,7 +339,7 @@ class MosaicUnit:
     values: AnyArray
     valid: ByteArray
     label: AnyArray
-    counts: IntArray
+    counts: Counter[int]
     facts: list[tuple[float, float]]
 
     @classmethod
@@ -354,5 +355,10 @@ class MosaicUnit:
             Number of images of the mosaic.
         """
         shape = window.height, window.width
-        label, counts = np.zeros(shape, dtype=label_type(images)), np.zeros(images + 2, dtype=np.int64)
-        return cls(window, np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8), label, counts, [])
+        values, valid = np.zeros((*shape, bands), dtype=dtype), np.zeros(shape, dtype=np.uint8)
+        return cls(window, values, valid, np.zeros(shape, dtype=label_type(images)), Counter(), [])
+
+    def count(self, label: AnyArray) -> None:
+        """Pixels counted by label, of a part of the unit."""
+        found = np.bincount(label.ravel())
+        self.counts.update({int(number): int(found[number]) for number in np.flatnonzero(found)})

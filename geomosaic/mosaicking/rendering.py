@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
@@ -24,16 +25,16 @@ from geomosaic.raster.cog.codec import RasterMetadata, Samples
 from geomosaic.raster.cog.tiles import WindowTiler, WindowTiles
 from geomosaic.raster.sink import RasterSink
 from geomosaic.render.calibrated import overview_mean
+from geomosaic.render.occlusion import hidden_label
 from geomosaic.render.ortho import GeometryRecord
 from geomosaic.sensor.lattice import blocks
-from geomosaic.types import IntArray
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.blending.rules import RuleBlender
     from geomosaic.mosaicking.water_filling import WaterBody
 
 # Pixels by label, errors and scales of the lattices, and the tiles of each raster.
-RenderedUnit = tuple[IntArray, list[Fact], list[WindowTiles]]
+RenderedUnit = tuple[Counter[int], list[Fact], list[WindowTiles]]
 
 
 @dataclass(frozen=True)
@@ -120,10 +121,11 @@ class RenderedUnits:
         for pool in self.water:
             pool.paint(made, blender.grid)
         tilers = [one.of_size(raster.width, raster.height) for one in self.tilers]
-        return made.counts, made.facts, self._tiles(made, unit.place, tilers)
+        shown = +made.counts  # without zeros
+        return shown, made.facts, self._tiles(made, unit.place, tilers)
 
     def _tiles(self, made: MosaicUnit, place: Window, tilers: Sequence[WindowTiler]) -> list[WindowTiles]:
-        if not made.counts[1:].any():  # most units of a mosaic of scattered photos
+        if made.counts.total() == made.counts[0]:  # most units of a mosaic of scattered photos
             return [one.empty(place) for one in tilers]
         known = (made.label > 0).view(np.uint8) if self.hides else made.valid
         layers = (made.values, made.valid, self.nodata is None), (made.label[..., None], known, True)
@@ -184,7 +186,7 @@ class _Work:
     def one_file(self, reuse: Reuse | None) -> RenderedPixels:
         """Mosaic in one file, with units of an earlier run where they are known."""
         render, grid = self.options.render, self.blender.grid
-        counts, record = self._nothing(), GeometryRecord()
+        counts, record = Counter[int](), GeometryRecord()
         units = _units(grid.window, render.tile)
         with ExitStack() as stack:
             sinks = [stack.enter_context(one) for one in self._sinks(self.files, grid)]
@@ -203,17 +205,17 @@ class _Work:
                         one.add(its)
                     if reuse is not None:
                         reuse.add(unit.window, shown, facts)
-                counts += shown
+                counts.update(shown)
                 for fact in facts:
                     record.add(*fact)
                 # Photos that end above these rows are closed: memory is that of a strip of photos.
                 self.blender.photos.passed(unit.window.row)
                 render.report(done, len(units), "mosaic")
-            _check_shown(counts)
+            pixels = self._pixels(counts, record, len(units))
             render.report(0, 1, "writing")
             for one in sinks:
                 one.finish()
-        return _pixels(counts, record, len(units))
+        return pixels
 
     def in_tiles(self, keys: UnitKeys) -> RenderedPixels:
         """Mosaic in tiles; those of an earlier run are kept where they would be made the same."""
@@ -240,16 +242,15 @@ class _Work:
         before = sum(_unit_count(window, render.tile) for window in done)
         for tile, written in self._by_units(left, lambda more: render.report(before + more, total, "mosaic")):
             done[tile.window] = written
-        counts, record = self._nothing(), GeometryRecord()
+        counts, record = Counter[int](), GeometryRecord()
         for written in (done[window] for window in places):
-            for label, number in written.counts.items():
-                counts[label] += number
+            counts.update(written.counts)
             for fact in written.facts:
                 record.add(*fact)
-        _check_shown(counts)
+        pixels = self._pixels(counts, record, len(tiles))
         shown = {window: (own, done[window]) for window, own in places.items() if done[window].files}
         write_virtual(self.files, grid, {window: own for window, (own, _) in shown.items()})
-        return replace(_pixels(counts, record, len(tiles)), kept=count, tiles=shown)
+        return replace(pixels, kept=count, tiles=shown)
 
     def _by_units(
         self, tiles: Sequence[Tile], report: Callable[[int], None]
@@ -279,15 +280,15 @@ class _Work:
         self, tile: Tile, sinks: Sequence[RasterSink], made: Iterable[RenderedUnit], report: Callable[[], None]
     ) -> WrittenTile:
         """One tile from its units, in their order; nothing is written of one that shows nothing."""
-        counts, record = self._nothing(), GeometryRecord()
+        counts, record = Counter[int](), GeometryRecord()
         for shown, facts, pieces in made:
             for one, its in zip(sinks, pieces, strict=True):
                 one.add(its)
-            counts += shown
+            counts.update(shown)
             for fact in facts:
                 record.add(*fact)
             report()
-        shows = bool(counts[1:-1].any())
+        shows = any(self._is_image(label) for label in counts)
         for one in sinks:
             if shows:
                 one.finish()
@@ -295,7 +296,7 @@ class _Work:
                 one.path.unlink(missing_ok=True)
         written = WrittenTile(
             tile.key,
-            {int(label): int(counts[label]) for label in np.flatnonzero(counts)},
+            dict(sorted(counts.items())),
             [(record.error, record.scale)] if record.scales else [],
             {one.path.name: file_facts(one.path) for one in sinks if shows},
         )
@@ -351,9 +352,20 @@ class _Work:
                 metadata=RasterMetadata(("source image",), categorical=True),
             )  # fmt: skip
 
-    def _nothing(self) -> IntArray:
-        """Counts of pixels by label, all zero."""
-        return np.zeros(len(self.blender.photos) + 2, dtype=np.int64)
+    def _is_image(self, label: int) -> bool:
+        """Whether pixels of a label show something: they are neither empty nor hidden."""
+        return 0 < label <= len(self.blender.photos)
+
+    def _pixels(self, counts: Counter[int], record: GeometryRecord, units: int) -> RenderedPixels:
+        """Counts of a whole mosaic, which shows something."""
+        if not any(self._is_image(label) for label in counts):
+            raise InputError(
+                "no image shows anything of the output area",
+                hint="check `bounds`, the images' nodata and the DEM's extent",
+            )
+        images = len(self.blender.photos)
+        by_image = [counts[label] for label in range(1, images + 1)]
+        return RenderedPixels(by_image, counts[hidden_label(images)], record, units)
 
 
 @dataclass(frozen=True)
@@ -389,15 +401,3 @@ def _kept_units(
     if not all(one.reuse_tiles_of(one.path) for one in sinks):
         reuse.forget()
     return {unit: reuse.kept(unit.window) for unit in units}
-
-
-def _check_shown(counts: IntArray) -> None:
-    if not counts[1:-1].any():
-        raise InputError(
-            "no image shows anything of the output area",
-            hint="check `bounds`, the images' nodata and the DEM's extent",
-        )
-
-
-def _pixels(counts: IntArray, record: GeometryRecord, units: int) -> RenderedPixels:
-    return RenderedPixels([int(count) for count in counts[1:-1]], int(counts[-1]), record, units)

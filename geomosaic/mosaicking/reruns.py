@@ -9,6 +9,7 @@ the same as if they had been computed.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,6 @@ from geomosaic.options.declaration import stage_values
 from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.radiometry.gain_offset import Balance
 from geomosaic.render.photos import Photos
-from geomosaic.types import IntArray
 from geomosaic.whole_files import write_atomic
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class KeptUnit:
     """
 
     window: Window
-    counts: IntArray
+    counts: Counter[int]
     facts: list[Fact]
 
 
@@ -124,14 +124,12 @@ class Reuse:
     ----------
     earlier_run : EarlierRun
     keys : UnitKeys
-    images : int
-        Number of images of the mosaic.
     files : mapping of str to Path
         Rasters of the earlier run, which the new ones replace; `mosaic`, and perhaps `labels` and `views`.
     """
 
-    def __init__(self, earlier_run: EarlierRun, keys: UnitKeys, images: int, files: dict[str, Path]) -> None:
-        self._earlier_run, self._keys, self._images, self._files = earlier_run, keys, images, files
+    def __init__(self, earlier_run: EarlierRun, keys: UnitKeys, files: dict[str, Path]) -> None:
+        self._earlier_run, self._keys, self._files = earlier_run, keys, files
         self.views = False
         """Whether the earlier views are at hand."""
         self._known = self._load()
@@ -170,15 +168,12 @@ class Reuse:
             return None
         self._kept[key] = known
         self.taken.add(window)
-        counted = np.zeros(self._images + 2, dtype=np.int64)
-        for i, number in known["counts"].items():
-            counted[int(i)] = number
-        return KeptUnit(window, counted, [(float(e), float(s)) for e, s in known["facts"]])
+        counts = Counter({int(label): number for label, number in known["counts"].items()})
+        return KeptUnit(window, counts, [(float(e), float(s)) for e, s in known["facts"]])
 
-    def add(self, window: Window, counts: IntArray, facts: list[Fact]) -> None:
+    def add(self, window: Window, counts: Counter[int], facts: list[Fact]) -> None:
         """Unit that was computed, for the next run."""
-        # Without zeros: a unit shows few of thousands of images. JSON has text as keys only.
-        shown = {str(i): int(counts[i]) for i in np.flatnonzero(counts)}
+        shown = {str(label): number for label, number in sorted(counts.items())}  # JSON has text as keys only
         self._kept[self._keys.key(window)] = {"counts": shown, "facts": facts}
 
     def save(self) -> None:
@@ -194,7 +189,7 @@ def deciding_code() -> str:
 
 
 def reuse_of(
-    options: MosaicOptions, earlier_run: EarlierRun | None, keys: UnitKeys | None, images: int, files: dict[str, Path]
+    options: MosaicOptions, earlier_run: EarlierRun | None, keys: UnitKeys | None, files: dict[str, Path]
 ) -> Reuse | None:
     """Reuse of the units of an earlier run, where it is possible.
 
@@ -204,8 +199,6 @@ def reuse_of(
     earlier_run : EarlierRun or None
         Of the earlier run.
     keys : UnitKeys or None
-    images : int
-        Number of images of the mosaic.
     files : dict of str to Path
         Rasters of the earlier run, as in `Reuse`.
 
@@ -217,7 +210,7 @@ def reuse_of(
     compression = options.render.creation.get("COMPRESS", "DEFLATE").upper()
     if earlier_run is None or keys is None or compression not in LOSSLESS:
         return None
-    return Reuse(earlier_run, keys, images, files)
+    return Reuse(earlier_run, keys, files)
 
 
 def _colour_bytes(colour: Correction) -> bytes:

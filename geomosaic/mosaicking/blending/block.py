@@ -152,10 +152,10 @@ class Blender:
         filled = self._fill(ground, near, values, valid, label, lattices, shades)
         filled = self._mark_hidden(shades, valid, label) or filled
         if len(shares) == 1 and not filled:
-            unit.counts[shares[0].index + 1] += np.count_nonzero(valid.view(np.bool_))
+            unit.counts[shares[0].index + 1] += int(np.count_nonzero(valid.view(np.bool_)))
         else:
             for number in (*(i + 1 for i in close), hidden_label(len(self.photos))):
-                unit.counts[number] += np.count_nonzero(label == number)
+                unit.counts[number] += int(np.count_nonzero(label == number))
         unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
 
     def _mark_hidden(self, shades: OcclusionMask | None, valid: ByteArray, label: AnyArray) -> bool:

@@ -117,7 +117,7 @@ class MultibandBlender(Blender):
         if not block_ground.unknown:
             self._fill(block_ground, self.photos.near(window), values, valid, number, lattices[0], block_shades)
         self._mark_hidden(block_shades, valid, number)
-        unit.counts[:] += np.bincount(number.ravel(), minlength=len(unit.counts))
+        unit.count(number)
         unit.facts.extend((one.error, one.scale) for two in lattices for used in two.values() for one in used)
 
     def _bytes(self, label: IntArray, around: Window, wide: Window) -> int:

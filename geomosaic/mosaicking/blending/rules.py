@@ -135,7 +135,7 @@ class RuleBlender:
                 self._lay(ground, near, target, lattices)
             else:
                 self._combine(ground, near, target, lattices)
-            unit.counts[:] += np.bincount(target[2].ravel(), minlength=len(unit.counts))
+            unit.count(target[2])
             unit.facts.extend((lattice.error, lattice.scale) for used in lattices.values() for lattice in used)
 
     def _rows(self, window: Window, images: int) -> int:
