@@ -10,6 +10,7 @@ from footprint_rig import footprints
 
 from geomosaic.geo.grid import Window
 from geomosaic.geo.window_index import WindowIndex
+from geomosaic.mosaicking.outputs import MosaicUnit
 from geomosaic.mosaicking.seams import voronoi
 from geomosaic.radiometry import gain_offset
 from geomosaic.radiometry.gain_offset import MajorAxis, solve_relations
@@ -100,3 +101,10 @@ def test_normal_equations_of_colours_have_as_many_entries_for_an_image_in_a_bloc
         graph = gain_offset._OverlapGraph.of(images, first, second, hold=True)
         each.append(len(graph._summed[0]) / images)
     assert each[1] < 1.3 * each[0]
+
+
+def test_a_unit_counts_the_pixels_of_the_images_that_it_shows_and_of_no_others() -> None:
+    unit = MosaicUnit.empty(Window(0, 0, 40, 30), 3, "uint8", 100_000)
+    unit.label[5:10, :20] = 70_000
+    unit.count(unit.label)
+    assert unit.counts == {0: 1100, 70_000: 100}
