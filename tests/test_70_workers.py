@@ -21,7 +21,9 @@ from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, Wor
 from geomosaic.execution import packing
 from geomosaic.execution.units import map_units
 from geomosaic.execution.units_on_workers import RETRIES
+from geomosaic.mosaicking import rendering
 from geomosaic.options.render import RenderOptions
+from geomosaic.render.photos import Photos
 from geomosaic.stores.failures import StoreError
 
 SAMPLE = Path(__file__).parents[1] / "data" / "sample"
@@ -38,7 +40,7 @@ WAYS = [
 
 
 def rasters(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.tif"))}
+    return {path.name: path.read_bytes() for path in sorted(folder.rglob("*.tif"))}
 
 
 def mosaic(folder: Path, **options: Any) -> dict[str, bytes]:
@@ -94,6 +96,43 @@ def test_what_is_sent_renders_the_same_bytes(way, tmp_path) -> None:
     plain = mosaic(tmp_path / "threads", threads=1, **way)
     with ThreadPoolExecutor(1) as executor:
         assert mosaic(tmp_path / "sent", workers=executor, **way) == plain
+
+
+# What pixels depend on beside one image: transitions, gaps, the order of images. A tile of a mosaic is a unit, too.
+REGIONS = [
+    pytest.param({"blend": "multiband", "colour": "gain"}, marks=pytest.mark.ci),
+    pytest.param({"tiling": "1024px", "colour": "gain"}, marks=pytest.mark.ci),
+    *(
+        pytest.param(way, marks=pytest.mark.slow)
+        for way in (
+            {"blend": "edge", "seams": "order", "colour": "gain"}, {"blend": "cutline"}, {"blend": "overlap"},
+            {"rule": "median"}, {"rule": "first"}, {"true_ortho": True},
+            {"seams": "graph-cut", "colour": "gain,vignetting"},
+        )
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("way", REGIONS)
+def test_what_is_sent_by_regions_renders_the_same_bytes(way, monkeypatch, tmp_path) -> None:
+    """Units get the images that their region depends on, and no others."""
+    monkeypatch.setattr(rendering, "MOST_IMAGES", 5)
+    sample = replace(BLOCK, images=sorted((SAMPLE / "photos").glob("*.jpg")))
+    sent, only = [], Photos.only
+    monkeypatch.setattr(Photos, "only", lambda photos, near: sent.append({*near}) or only(photos, near))
+    place = {"resolution": 1.5, "tile": 1024, "vectors": False, **way}
+    name = "m.vrt" if "tiling" in way else "m.tif"
+    made = {}
+    for which in ("threads", "sent"):
+        with ThreadPoolExecutor(1) as executor:
+            how = {"threads": 1} if which == "threads" else {"workers": executor}
+            (tmp_path / which).mkdir()
+            gm.mosaic(sample, tmp_path / which / name, **place, **how)
+        made[which] = rasters(tmp_path / which)
+        assert bool(sent) == (which == "sent")
+    assert made["sent"] == made["threads"]
+    assert len(sent) > 1
+    assert min(map(len, sent)) < len(sample.images)
 
 
 # Signals that a unit sends to the process it runs in: none, and one that nothing survives. What sends them is not of

@@ -66,6 +66,15 @@ class Window:
         col, row = max(self.col, other.col), max(self.row, other.row)
         return Window(col, row, min(self.stop_col, other.stop_col) - col, min(self.stop_row, other.stop_row) - row)
 
+    def grown(self, pixels: int) -> Window:
+        """Window with a margin on each side.
+
+        Parameters
+        ----------
+        pixels : int
+        """
+        return Window(self.col - pixels, self.row - pixels, self.width + 2 * pixels, self.height + 2 * pixels)
+
     def slices_in(self, outer: Window) -> tuple[slice, slice]:
         """Rows and columns of this window in an array of another window that holds it.
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -33,8 +33,14 @@ if TYPE_CHECKING:
     from geomosaic.mosaicking.blending.rules import RuleBlender
     from geomosaic.mosaicking.water_filling import WaterBody
 
+# Images of which a worker is sent orientation, seams and colours at a time: up to some 60 kB of each.
+MOST_IMAGES = 1000
+
 # Pixels by label, errors and scales of the lattices, and the tiles of each raster.
 RenderedUnit = tuple[Counter[int], list[Fact], list[WindowTiles]]
+
+
+Unit = TypeVar("Unit", "RenderUnit", Tile)
 
 
 @dataclass(frozen=True)
@@ -168,7 +174,8 @@ def render_mosaic(
     OutputError
         Writing failed.
     """
-    work = _Work(blender, files, options, tuple(water))
+    overviews = overview_mean(blender.photos.scenes, options.render.resampling)
+    work = _Work(blender, files, options, tuple(water), overviews)
     pixels = work.one_file(reuse) if keys is None else work.in_tiles(keys)
     pixels.geometry.judge(options.render.tolerance)
     return pixels
@@ -182,6 +189,7 @@ class _Work:
     files: MosaicFiles
     options: MosaicOptions
     water: tuple[WaterBody, ...]
+    overviews: str
 
     def one_file(self, reuse: Reuse | None) -> RenderedPixels:
         """Mosaic in one file, with units of an earlier run where they are known."""
@@ -228,10 +236,9 @@ class _Work:
         if count < len(tiles):
             self.files.remove_virtual()
         if render.workers is not None and count < len(tiles):
-            whole = _WholeTiles(self._as_sent(), self.files.token)
             left = [tile for tile in tiles if tile.window not in done]
             before = sum(_unit_count(window, render.tile) for window in done)
-            with closing(map_units(whole, left, render)) as computed:
+            with closing(self._whole_tiles(left)) as computed:
                 for tile, written in computed:
                     if written is not None:
                         done[tile.window] = written
@@ -323,7 +330,31 @@ class _Work:
         render = self.options.render
         # Each thread keeps memory of its own: no more of them than there are units to be computed.
         limited = replace(render, threads=max(1, min(render.threads, number)))
-        return map_units(self._rendered(sinks), units, limited)
+        for work, own in self._by_regions(units):
+            yield from map_units(work._rendered(sinks), own, limited)
+
+    def _whole_tiles(self, tiles: Iterable[Tile]) -> Generator[tuple[Tile, WrittenTile | None], None, None]:
+        """Tiles as workers have written them; None for those whose folder a worker does not see."""
+        for work, own in self._by_regions(tiles):
+            yield from map_units(_WholeTiles(work._as_sent(), self.files.token), own, self.options.render)
+
+    def _by_regions(self, units: Iterable[Unit]) -> Iterator[tuple[_Work, Iterable[Unit]]]:
+        """Units in their order, and the work as workers get it for some: with the images alone that those depend on."""
+        blender, reach = self.blender, self.blender.reach
+        if self.options.render.workers is None or len(blender.photos) <= MOST_IMAGES:
+            yield self, units
+            return
+        own: list[Unit] = []
+        near: set[int] = set()
+        for unit in units:
+            more = blender.photos.near(unit.window.grown(reach))
+            if own and len(near.union(more)) > MOST_IMAGES:
+                yield replace(self, blender=blender.only(near)), own
+                own, near = [], set()
+            own.append(unit)
+            near.update(more)
+        if own:
+            yield replace(self, blender=blender.only(near)), own
 
     def _rendered(self, sinks: Sequence[RasterSink]) -> RenderedUnits:
         render, tilers = self.options.render, tuple(one.tiler for one in sinks)
@@ -342,7 +373,7 @@ class _Work:
             creation=render.creation, driver=render.driver, overwrite=overwrite, threads=render.threads,
             metadata=RasterMetadata(
                 blender.info.descriptions, tags={"GEOMOSAIC_IMAGES": str(number)},
-                overviews=overview_mean(blender.photos.block.scenes, render.resampling),
+                overviews=self.overviews,
             ),
         )  # fmt: skip
         if files.labels is not None:

@@ -101,7 +101,7 @@ class UnitKeys:
 
         blender = self._blender
         reach, step = blender.reach, 1e-3 * blender.grid.resolution[0]
-        around = Window(window.col - reach, window.row - reach, window.width + 2 * reach, window.height + 2 * reach)
+        around = window.grown(reach)
         frame = shapely.box(*blender.grid.crop(around).bounds)
         parts: list[Any] = [self._base, str(window)]
         for i in blender.photos.near(around if blender.uses_neighbours else window):

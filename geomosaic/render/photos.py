@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from threading import Condition, Lock, Thread, current_thread
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.block import Footprint, OrientedBlock
+from geomosaic.block import Footprint, OrientedBlock, OrientedImage
 from geomosaic.errors import InputError, counted
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.window_index import WindowIndex
@@ -18,6 +18,7 @@ from geomosaic.options.render import BLOCK_HEIGHT, SampleOptions
 from geomosaic.raster.source import SourceInfo
 from geomosaic.render.calibrated import check_quantities, check_squares, image_info
 from geomosaic.render.photo import Photo, refuse_palette, sample_scales
+from geomosaic.render.sparse import SparseSequence
 
 
 class MemoryBudget:
@@ -85,6 +86,7 @@ class Photos:
         resampling: str = "nearest",
     ) -> None:
         self.block, self.grid, self.outlines = block, grid, outlines
+        self.scenes: Sequence[OrientedImage] = block.scenes
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
         self._index = WindowIndex(self.windows)
         check_quantities(block.scenes)
@@ -110,7 +112,21 @@ class Photos:
         self._open, self._lock = {}, Lock()
 
     def __len__(self) -> int:
-        return len(self.block.scenes)
+        return len(self.scenes)
+
+    def only(self, near: Collection[int]) -> Photos:
+        """The same photos, of which only some can be used: those of a region, for who draws that.
+
+        Parameters
+        ----------
+        near : collection of int
+            Their numbers.
+        """
+        part = Photos.__new__(Photos)
+        block = replace(self.block, scenes=tuple(self.scenes[i] for i in sorted(near)), control=())
+        scenes, outlines = SparseSequence(self.scenes, near), SparseSequence(self.outlines, near)
+        part.__setstate__({**vars(self), "block": block, "scenes": scenes, "outlines": outlines, "_done_row": 0})
+        return part
 
     @contextmanager
     def using(self, index: int) -> Iterator[Photo]:
@@ -162,7 +178,7 @@ class Photos:
             self._open.clear()
 
     def _opened(self, index: int) -> _Open:
-        scene, outline = self.block.scenes[index], self.outlines[index]
+        scene, outline = self.scenes[index], self.outlines[index]
         return _Open(Photo.open(scene, self.block.surface, self.grid, outline, self._each, self._scales[index]))
 
     def _close_spare(self) -> None:

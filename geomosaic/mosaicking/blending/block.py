@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import OcclusionMask, Visibility, hidden_label
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
+from geomosaic.render.sparse import SparseSequence
 from geomosaic.resample.warp import Colour, Target, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
@@ -51,9 +52,13 @@ class Seams:
         Width of the transition in output pixels.
     """
 
-    polygons: list[Any]
-    outlines: list[Any]
+    polygons: Sequence[Any]
+    outlines: Sequence[Any]
     feather: float
+
+    def only(self, near: Collection[int]) -> Seams:
+        """Seams of some images, under their numbers."""
+        return Seams(SparseSequence(self.polygons, near), SparseSequence(self.outlines, near), self.feather)
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,11 @@ class Blender:
     def grid(self) -> Grid:
         """Grid of the output."""
         return self.rectifier.grid
+
+    def only(self, near: Collection[int]) -> Self:
+        """Blender of some images, under their numbers: those that a region depends on."""
+        photos, colours = self.photos.only(near), SparseSequence(self.colours, near)
+        return replace(self, photos=photos, seams=self.seams.only(near), colours=colours)
 
     def rank(self, index: int) -> int:
         """Rank of an image."""

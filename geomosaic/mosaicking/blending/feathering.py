@@ -78,7 +78,7 @@ class _Edges:
         import shapely
 
         by = math.ceil(margin)
-        wide = Window(window.col - by, window.row - by, window.width + 2 * by, window.height + 2 * by)
+        wide = window.grown(by)
         box = grid.crop(wide).bounds
         part = None if self.part is None else shapely.clip_by_rect(self.part, *box)
         return _Edges(self.outline, shapely.clip_by_rect(self.boundary, *box), part)

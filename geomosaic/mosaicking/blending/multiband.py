@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from geomosaic.options.render import CELL
 from geomosaic.raster.validity import rasterized
 from geomosaic.render.occlusion import OcclusionMask
 from geomosaic.render.photos import MemoryBudget
+from geomosaic.render.sparse import SparseSequence
 from geomosaic.resample.multiband import Part, View, by_weights, corrected, differences, in_bands, parts_of, spread
 from geomosaic.sensor.map_to_image import BlockGround
 from geomosaic.types import AnyArray, IntArray
@@ -50,6 +51,12 @@ class MultibandBlender(Blender):
     edges: Sequence[Any] = ()
     lines: Sequence[Any] = ()
     order: Sequence[int] = ()
+
+    def only(self, near: Collection[int]) -> Self:
+        """Blender of some images, under their numbers: those that a region depends on."""
+        edges, lines = (SparseSequence(each, near) if each else () for each in (self.edges, self.lines))
+        order = [i for i in self.order if i in near]
+        return replace(super().only(near), edges=edges, lines=lines, order=order)
 
     @property
     def everywhere(self) -> bool:
@@ -140,7 +147,7 @@ class MultibandBlender(Blender):
 
     def _with_margin(self, zone: Window) -> Window:
         by = self.margin
-        return Window(zone.col - by, zone.row - by, zone.width + 2 * by, zone.height + 2 * by)
+        return zone.grown(by)
 
     def _label(self, window: Window) -> tuple[IntArray | None, Window]:
         """Image of each pixel by the seams, −1 where none, over the block in whole cells with a margin; None if one."""
@@ -152,7 +159,7 @@ class MultibandBlender(Blender):
         grid = self.grid.crop(around)
         frame = shapely.box(*grid.bounds)
         shapes = self.seams.polygons
-        close = [i for i, shape in enumerate(shapes) if not shape.is_empty and shape.intersects(frame)]
+        close = [i for i in self.photos.near(around) if shapes[i].intersects(frame)]
         if not close or (len(close) == 1 and not self.everywhere and shapes[close[0]].covers(frame)):
             return None, around
         return rasterized([(shapes[i], i) for i in close], grid).astype(np.int64), around

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from geomosaic.radiometry.corrections import CorrectionField, ToneCurve
 from geomosaic.raster.info import SourceInfo
 from geomosaic.render.photo import Rectifier
 from geomosaic.render.photos import Photos
+from geomosaic.render.sparse import SparseSequence
 from geomosaic.resample.warp import Colour, Target, value_range
 from geomosaic.sensor.lattice import Lattice
 from geomosaic.sensor.map_to_image import BlockGround, Ground
@@ -82,6 +83,11 @@ class RuleBlender:
     rule: str
     order: Sequence[int]
     info: SourceInfo
+
+    def only(self, near: Collection[int]) -> RuleBlender:
+        """Blender of some images, under their numbers: those that a region depends on."""
+        order = [i for i in self.order if i in near]
+        return replace(self, photos=self.photos.only(near), colours=SparseSequence(self.colours, near), order=order)
 
     @property
     def grid(self) -> Grid:

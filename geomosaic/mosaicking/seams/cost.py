@@ -381,7 +381,7 @@ def _raised_objects_in(photos: Photos, grid: Grid, part: Window) -> Float32Array
     corner = grid.xy(np.zeros((1, 2)))[0]
     metres = float(metres_per_unit(grid.crs, corner)[1]) * grid.resolution[1]
     by = min(math.ceil(max(OPENING_WINDOWS) / metres) + 2, MAX_SURROUNDINGS)
-    wide = Window(part.col - by, part.row - by, part.width + 2 * by, part.height + 2 * by).intersection(grid.window)
+    wide = part.grown(by).intersection(grid.window)
     return raised_objects(_cell_heights(photos, grid.crop(wide)), metres)[part.slices_in(wide)]
 
 

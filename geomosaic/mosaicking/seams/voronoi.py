@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 Geometry = Any
 
 
-def voronoi_regions(outlines: list[Polygon], centres: list[tuple[float, float]]) -> list[Geometry]:
+def voronoi_regions(outlines: Sequence[Polygon], centres: Sequence[tuple[float, float]]) -> list[Geometry]:
     """Voronoi regions of image centres within footprints: where each image is the nearest that shows the ground.
 
     Parameters
     ----------
-    outlines : list of Polygon
+    outlines : sequence of Polygon
         Footprints in the output map.
     centres : list of (x, y)
         The place each image sees best. Of two images with the same centre the first has precedence.
