@@ -200,7 +200,7 @@ def test_single_pixels_of_a_photo_cost_no_second_reading(
             image, _ = photo.source.read(Window(0, 0, *SIZE))
             rows, cols = np.nonzero(piece.valid)
             xy = grid.xy(np.column_stack([cols + piece.window.col, rows + piece.window.row]) + 0.5)
-            places = photo.mapper(xy, photos.block.surface.height(photo.mapper.surface_xy(xy)))
+            places = photo.mapper(xy, photos.surface.height(photo.mapper.surface_xy(xy)))
         at = places.astype(np.int64)
         sure = (np.abs(places - at - 0.5) < 0.45).all(axis=1)  # heights are means: rounding decides on an edge
         assert len(rows) > 20 * (cells / 8) ** 2 / 2

@@ -251,7 +251,7 @@ def test_a_subdomain_takes_the_cells_along_its_core_as_its_neighbours_decided_th
 
     reports: list[tuple[int, int, str]] = []
     options = RenderOptions(threads=1, progress=lambda *report: reports.append(report))
-    cores = [core for core, _ in seams_in_turns(GRID, WINDOWS, laid, options)]
+    cores = [core for core, _ in seams_in_turns(GRID, WINDOWS, lambda _: laid, options)]
     assert all(told)
     assert [part.core for part in decided] == cores
     # Four turns; none looks at a core of its own turn, and the ground of one image alone is nobody's.

@@ -21,8 +21,8 @@ from geomosaic.errors import GeomosaicWarning, InputError, SensorInputError, Wor
 from geomosaic.execution import packing
 from geomosaic.execution.units import map_units
 from geomosaic.execution.units_on_workers import RETRIES
-from geomosaic.mosaicking import rendering
 from geomosaic.options.render import RenderOptions
+from geomosaic.render import regions
 from geomosaic.render.photos import Photos
 from geomosaic.stores.failures import StoreError
 
@@ -116,10 +116,16 @@ REGIONS = [
 @pytest.mark.parametrize("way", REGIONS)
 def test_what_is_sent_by_regions_renders_the_same_bytes(way, monkeypatch, tmp_path) -> None:
     """Units get the images that their region depends on, and no others."""
-    monkeypatch.setattr(rendering, "MOST_IMAGES", 5)
+    monkeypatch.setattr(regions, "MOST_IMAGES", 5)
     sample = replace(BLOCK, images=sorted((SAMPLE / "photos").glob("*.jpg")))
     sent, only = [], Photos.only
-    monkeypatch.setattr(Photos, "only", lambda photos, near: sent.append({*near}) or only(photos, near))
+
+    def noted(photos, near):
+        if near is not None:
+            sent.append({*near})
+        return only(photos, near)
+
+    monkeypatch.setattr(Photos, "only", noted)
     place = {"resolution": 1.5, "tile": 1024, "vectors": False, **way}
     name = "m.vrt" if "tiling" in way else "m.tif"
     made = {}

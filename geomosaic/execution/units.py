@@ -50,7 +50,7 @@ def map_units(
     # Where threads do, nothing of other processes is loaded.
     from geomosaic.execution.units_on_workers import units_on_workers
 
-    yield from units_on_workers(function, items, options, ahead)
+    yield from units_on_workers([(function, items)], options, ahead)
 
 
 def unit_map(options: RunningOptions) -> Map:

@@ -1,4 +1,4 @@
-"""Units of one function on workers: tasks of a few units, in order, begun again where they are lost.
+"""Units on workers: tasks of a few units of one function, in order, begun again where they are lost.
 
 A task is one unit until it is known how long they take, then as many as `unit_times` says.
 """
@@ -28,14 +28,14 @@ RETRIES = 3
 
 
 def units_on_workers(
-    function: Callable[[Item], Result], items: Iterable[Item], options: RunningOptions, ahead: int
+    parts: Iterable[tuple[Callable[[Item], Result], Iterable[Item]]], options: RunningOptions, ahead: int
 ) -> Generator[tuple[Item, Result], None, None]:
-    """Results of a function over items in their order, see `units.map_units`.
+    """Results of functions over items in their order, see `units.map_units`.
 
     Parameters
     ----------
-    function : callable
-    items : iterable
+    parts : iterable of (callable, iterable)
+        Functions, and the items of each. A part is begun while the one before it is still under way.
     options : RunningOptions
     ahead : int
         Tasks per worker that may be begun before their turn.
@@ -48,7 +48,7 @@ def units_on_workers(
     # The context of a generator is that of its caller: a run of its own is not entered there.
     run = running or Run(options.workers, options.memory_limit)
     try:
-        yield from _in_order(_Units(run, Work.of(function)), items, ahead)
+        yield from _in_order(_Units(run), parts, ahead)
     finally:
         if running is None:
             run.close()
@@ -58,16 +58,17 @@ def units_on_workers(
 class _Begun:
     """Items whose task is on its way, after so many trials that were lost."""
 
+    work: Work
     items: Sequence[Any]
     pending: Pending
     trials: int = 0
 
 
 class _Units:
-    """Units of one function on workers."""
+    """Units on workers, all of which take much the same time."""
 
-    def __init__(self, run: Run, work: Work) -> None:
-        self._workers, self._report, self._work = run.workers, run.report, work
+    def __init__(self, run: Run) -> None:
+        self._workers, self._report = run.workers, run.report
         self._times = UnitTimes()
         self._told: set[str] = set()
         self.slots = self._workers.slots
@@ -77,22 +78,22 @@ class _Units:
         size = self._times.units_of_task()
         return size if left is None else max(1, min(size, left // (2 * self.slots)))
 
-    def begin(self, items: Sequence[Any], trials: int = 0) -> _Begun:
+    def begin(self, work: Work, items: Sequence[Any], trials: int = 0) -> _Begun:
         """Begin a task."""
         patience = self._times.patience(len(items))
-        return _Begun(items, self._workers.begin(self._work, items, patience), trials)
+        return _Begun(work, items, self._workers.begin(work, items, patience), trials)
 
     def outcome(self, begun: _Begun) -> tuple[list[tuple[Any, Any]], list[_Begun]]:
         """Items of a task with their results, as far as there are any, and what was begun of the rest."""
-        items = begun.items
+        work, items = begun.work, begun.items
         try:
             data = begun.pending.answer()
         except UnitsLostError as error:
             # Each by itself: only one of them may be at fault.
             self._report.lost[error.why] += len(items)
-            return [], [self._again(item, begun.trials, error) for item in items]
+            return [], [self._again(work, item, begun.trials, error) for item in items]
         answer = answer_of(data)
-        self._report.add(self._work.name, answer, len(data))
+        self._report.add(work.name, answer, len(data))
         for text in answer.warnings:
             if text not in self._told:
                 self._told.add(text)
@@ -101,21 +102,21 @@ class _Units:
         done, rest = list(zip(items, answer.results, strict=False)), items[len(answer.results) :]
         if answer.error is None:  # it ended early
             size = self.next_size(None)
-            return done, [self.begin(rest[first : first + size]) for first in range(0, len(rest), size)]
+            return done, [self.begin(work, rest[first : first + size]) for first in range(0, len(rest), size)]
         if isinstance(answer.error, GeomosaicError):  # the same anywhere, but for files that are not everywhere
             if isinstance(answer.error, RasterReadError | StoreError):
                 file = isinstance(answer.error, RasterReadError)
                 needs = "must see the file under this path" if file else "asks the store by its own environment"
                 answer.error.hint = f"{answer.error.hint or 'check the path'}; worker {answer.worker} {needs}"
-            return done, [_Begun(rest, _Failed(answer.error))]
+            return done, [_Begun(work, rest, _Failed(answer.error))]
         self._report.lost["failed"] += 1
-        others = [self.begin(rest[1:])] if rest[1:] else []
-        return done, [self._again(rest[0], begun.trials, answer.error), *others]
+        others = [self.begin(work, rest[1:])] if rest[1:] else []
+        return done, [self._again(work, rest[0], begun.trials, answer.error), *others]
 
-    def _again(self, item: Any, trials: int, error: Exception) -> _Begun:
+    def _again(self, work: Work, item: Any, trials: int, error: Exception) -> _Begun:
         """Item begun again by itself; after too many trials its error."""
         if trials < RETRIES:
-            return self.begin([item], trials + 1)
+            return self.begin(work, [item], trials + 1)
         why = str(error) if isinstance(error, UnitsLostError) else f"{type(error).__name__}: {error}"
         named = WorkerError(
             f"the unit was begun {RETRIES + 1} times and lost every time ({why})",
@@ -123,7 +124,7 @@ class _Units:
             hint="look into the logs of the workers; with less memory each than a unit needs, give them more",
         )
         named.__cause__ = error
-        return _Begun([item], _Failed(named))
+        return _Begun(work, [item], _Failed(named))
 
 
 @dataclass(frozen=True)
@@ -140,18 +141,21 @@ class _Failed:
         """Nothing is on its way."""
 
 
-def _in_order(units: _Units, items: Iterable[Any], ahead: int) -> Iterator[tuple[Any, Any]]:
-    source, begun = iter(items), deque[_Begun]()
-    left = len(items) if isinstance(items, Sized) else None
+def _tasks(units: _Units, parts: Iterable[tuple[Any, Iterable[Any]]]) -> Iterator[tuple[Work, Sequence[Any]]]:
+    """Functions and items of tasks, as they are needed."""
+    for function, items in parts:
+        work, source, left = Work.of(function), iter(items), len(items) if isinstance(items, Sized) else None
+        while task := list(islice(source, units.next_size(left))):
+            left = None if left is None else left - len(task)
+            yield work, task
+
+
+def _in_order(units: _Units, parts: Iterable[tuple[Any, Iterable[Any]]], ahead: int) -> Iterator[tuple[Any, Any]]:
+    tasks, begun = _tasks(units, parts), deque[_Begun]()
 
     def fill() -> None:
-        nonlocal left
-        while len(begun) < units.slots * ahead:
-            part = list(islice(source, units.next_size(left)))
-            if not part:
-                return
-            left = None if left is None else left - len(part)
-            begun.append(units.begin(part))
+        for work, items in islice(tasks, max(0, units.slots * ahead - len(begun))):
+            begun.append(units.begin(work, items))
 
     try:
         fill()

@@ -29,6 +29,7 @@ from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
+from geomosaic.render.regions import map_images
 from geomosaic.sensor.map_to_image import Views, views
 from geomosaic.types import FloatArray
 
@@ -64,9 +65,9 @@ def source_facts(
         `acquired` (ISO 8601), `view_angle` and `view_azimuth` (degrees), `gsd_metres`, `sha256`, and those given.
     """
     rows: list[dict[str, Any]] = []
-    given = [further.get(scene.name, {}) for scene in photos.block.scenes]
+    given = [further.get(scene.name, {}) for scene in photos.scenes]
     summed = frozenset(index for index, facts in enumerate(given) if "sha256" in facts)
-    for index, (facts, checksum) in map_units(partial(_facts_of_image, photos, summed), range(len(photos)), options):
+    for index, (facts, checksum) in map_images(lambda some: partial(_facts_of_image, some, summed), photos, options):
         rows.append({**facts, **given[index], **({} if checksum is None else {"sha256": checksum})})
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: [_without_none(row.get(name), [other.get(name) for other in rows]) for row in rows] for name in names}
@@ -74,7 +75,7 @@ def source_facts(
 
 def _facts_of_image(photos: Photos, summed: Collection[int], index: int) -> tuple[dict[str, Any], str | None]:
     """Acquisition and view of an image, and its checksum, where it is a file of this machine and that is not known."""
-    scene = photos.block.scenes[index]
+    scene = photos.scenes[index]
     with photos.using(index) as photo:
         geometry = _view_geometry(photo, photos, photos.grid, np.array([photos.outlines[index].centre]))
     facts = {
@@ -96,7 +97,7 @@ def _without_none(value: Any, others: Sequence[Any]) -> Any:
 
 def _view_geometry(photo: Photo, photos: Photos, grid: Grid, xy: FloatArray) -> Views:
     """View geometry of an image at places (N, 2) of the output map: angle and azimuth, degrees, sampling, metres."""
-    surface = photos.block.surface
+    surface = photos.surface
     z = np.zeros(len(xy)) if surface is None else surface.height(photo.mapper.surface_xy(xy))
     # Where there is no height the median is near enough: view angles change slowly with it.
     z = np.where(np.isfinite(z), z, np.nanmedian(z)) if np.isfinite(z).any() else np.zeros(len(xy))
@@ -346,7 +347,7 @@ def displacement(
 
 def _heights(photos: Photos, grid: Grid, window: Window) -> FloatArray:
     """Heights (rows, cols) under a window of the output; 0 where there is no surface."""
-    surface = photos.block.surface
+    surface = photos.surface
     shape = window.height, window.width
     if surface is None:
         return np.zeros(shape)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.kept_tiles import Tile, WrittenTile, file_facts
@@ -27,20 +27,15 @@ from geomosaic.raster.sink import RasterSink
 from geomosaic.render.calibrated import overview_mean
 from geomosaic.render.occlusion import hidden_label
 from geomosaic.render.ortho import GeometryRecord
+from geomosaic.render.regions import map_by_regions
 from geomosaic.sensor.lattice import blocks
 
 if TYPE_CHECKING:
     from geomosaic.mosaicking.blending.rules import RuleBlender
     from geomosaic.mosaicking.water_filling import WaterBody
 
-# Images of which a worker is sent orientation, seams and colours at a time: up to some 60 kB of each.
-MOST_IMAGES = 1000
-
 # Pixels by label, errors and scales of the lattices, and the tiles of each raster.
 RenderedUnit = tuple[Counter[int], list[Fact], list[WindowTiles]]
-
-
-Unit = TypeVar("Unit", "RenderUnit", Tile)
 
 
 @dataclass(frozen=True)
@@ -330,31 +325,22 @@ class _Work:
         render = self.options.render
         # Each thread keeps memory of its own: no more of them than there are units to be computed.
         limited = replace(render, threads=max(1, min(render.threads, number)))
-        for work, own in self._by_regions(units):
-            yield from map_units(work._rendered(sinks), own, limited)
+        images = len(self.blender.photos)
+        return map_by_regions(lambda near: self._only(near)._rendered(sinks), units, self._near, images, limited)
 
     def _whole_tiles(self, tiles: Iterable[Tile]) -> Generator[tuple[Tile, WrittenTile | None], None, None]:
         """Tiles as workers have written them; None for those whose folder a worker does not see."""
-        for work, own in self._by_regions(tiles):
-            yield from map_units(_WholeTiles(work._as_sent(), self.files.token), own, self.options.render)
+        sent, token, images = self._as_sent(), self.files.token, len(self.blender.photos)
+        whole = partial(_WholeTiles, token=token)
+        return map_by_regions(lambda near: whole(sent._only(near)), tiles, self._near, images, self.options.render)
 
-    def _by_regions(self, units: Iterable[Unit]) -> Iterator[tuple[_Work, Iterable[Unit]]]:
-        """Units in their order, and the work as workers get it for some: with the images alone that those depend on."""
-        blender, reach = self.blender, self.blender.reach
-        if self.options.render.workers is None or len(blender.photos) <= MOST_IMAGES:
-            yield self, units
-            return
-        own: list[Unit] = []
-        near: set[int] = set()
-        for unit in units:
-            more = blender.photos.near(unit.window.grown(reach))
-            if own and len(near.union(more)) > MOST_IMAGES:
-                yield replace(self, blender=blender.only(near)), own
-                own, near = [], set()
-            own.append(unit)
-            near.update(more)
-        if own:
-            yield replace(self, blender=blender.only(near)), own
+    def _near(self, unit: RenderUnit | Tile) -> list[int]:
+        """Numbers of the images that a unit depends on."""
+        return self.blender.photos.near(unit.window.grown(self.blender.reach))
+
+    def _only(self, near: Collection[int] | None) -> _Work:
+        """Work for a region that depends on these images."""
+        return self if near is None else replace(self, blender=self.blender.only(near))
 
     def _rendered(self, sinks: Sequence[RasterSink]) -> RenderedUnits:
         render, tilers = self.options.render, tuple(one.tiler for one in sinks)

@@ -210,7 +210,7 @@ def _toned(
     darkest: FloatArray = np.full((window.height, window.width, photos.info.bands), np.inf)
     for i in images:
         with photos.using(i) as photo:
-            seen = thumbnail(photo, photos.block.surface, coarse, window, "average", "float32")
+            seen = thumbnail(photo, photos.surface, coarse, window, "average", "float32")
         values = corrected(colours[i], seen.values, window, coarse, photos.grid)
         darker = (seen.valid > 0) & (values.mean(axis=2) < darkest.mean(axis=2))
         darkest[darker] = values[darker]

@@ -85,8 +85,11 @@ class Photos:
         samples: SampleOptions | None = None,
         resampling: str = "nearest",
     ) -> None:
-        self.block, self.grid, self.outlines = block, grid, outlines
+        self.surface, self.grid, self.outlines = block.surface, grid, outlines
         self.scenes: Sequence[OrientedImage] = block.scenes
+        step = 1e-3 * grid.resolution[0]
+        # Places that the photos see best, to a thousandth of a pixel: last digits may differ from run to run.
+        self.centres = [(round(x / step) * step, round(y / step) * step) for x, y in (o.centre for o in outlines)]
         self.windows = [grid.window_of(outline.bounds) for outline in outlines]
         self._index = WindowIndex(self.windows)
         check_quantities(block.scenes)
@@ -104,7 +107,7 @@ class Photos:
 
     def __getstate__(self) -> dict[str, Any]:
         """All but what is open: another process opens it again."""
-        closed = {"_open": None, "_lock": None, "_done_row": 0, "block": replace(self.block, control=())}
+        closed = {"_open": None, "_lock": None, "_done_row": 0}
         return {**vars(self), **closed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -114,18 +117,19 @@ class Photos:
     def __len__(self) -> int:
         return len(self.scenes)
 
-    def only(self, near: Collection[int]) -> Photos:
+    def only(self, near: Collection[int] | None) -> Photos:
         """The same photos, of which only some can be used: those of a region, for who draws that.
 
         Parameters
         ----------
-        near : collection of int
-            Their numbers.
+        near : collection of int, optional
+            Their numbers; all unless given.
         """
+        if near is None:
+            return self
         part = Photos.__new__(Photos)
-        block = replace(self.block, scenes=tuple(self.scenes[i] for i in sorted(near)), control=())
         scenes, outlines = SparseSequence(self.scenes, near), SparseSequence(self.outlines, near)
-        part.__setstate__({**vars(self), "block": block, "scenes": scenes, "outlines": outlines, "_done_row": 0})
+        part.__setstate__({**vars(self), "scenes": scenes, "outlines": outlines, "_done_row": 0})
         return part
 
     @contextmanager
@@ -147,12 +151,6 @@ class Photos:
     def near(self, window: Window) -> list[int]:
         """Numbers of the photos whose footprint's bounds meet a window."""
         return self._index.meeting(window)
-
-    @property
-    def centres(self) -> list[tuple[float, float]]:
-        """Places that the photos see best, to a thousandth of a pixel: last digits may differ from run to run."""
-        step = 1e-3 * self.grid.resolution[0]
-        return [(round(x / step) * step, round(y / step) * step) for x, y in (o.centre for o in self.outlines)]
 
     def leave_out(self, numbers: Iterable[int]) -> None:
         """Show nothing of some photos from now on."""
@@ -179,7 +177,7 @@ class Photos:
 
     def _opened(self, index: int) -> _Open:
         scene, outline = self.scenes[index], self.outlines[index]
-        return _Open(Photo.open(scene, self.block.surface, self.grid, outline, self._each, self._scales[index]))
+        return _Open(Photo.open(scene, self.surface, self.grid, outline, self._each, self._scales[index]))
 
     def _close_spare(self) -> None:
         """Close photos that nobody reads: those done with, and the least recently used beyond bounds."""

@@ -222,7 +222,7 @@ def accepted(
     why = _rejection_reason(photos, grid, solved, start, samples, auto)
     if why is None:
         return solved
-    exposed = exposure_balance([scene.path for scene in photos.block.scenes], photos.info.bands, samples.pairs)
+    exposed = exposure_balance([scene.path for scene in photos.scenes], photos.info.bands, samples.pairs)
     change = None if exposed is None else balance_change(pixels, exposed, grid, photos)
     if exposed is not None and change is not None and change.clipped_percent <= MAX_CLIPPED:
         notes = (*solved.notes, f"a gain and an offset of each photo are not taken: {why}", *exposed.notes)
@@ -308,13 +308,13 @@ def misregistration_notes(photos: Photos, pairs: list[Overlap], overlaps: int, c
         return []
 
     def named(pair: Overlap) -> str:
-        names = " and ".join(photos.block.scenes[i].name for i in (pair.first, pair.second))
+        names = " and ".join(photos.scenes[i].name for i in (pair.first, pair.second))
         apart = cell * float(np.hypot(*pair.registration.shift))
         return f"{names} ({apart:.3g} map units)" if apart else names
 
     some = listed(map(named, pairs), 5, "; ")
     less = "colours are left as they are" if len(pairs) == overlaps else "they say nothing of colours"
-    models = [photos.block.scenes[i].model for pair in pairs for i in (pair.first, pair.second)]
+    models = [photos.scenes[i].model for pair in pairs for i in (pair.first, pair.second)]
     radar = " (radar from two sides never does)" if any(isinstance(one, HasSensorPositions) for one in models) else ""
     return [
         f"misregistered, {len(pairs)} of {overlaps} overlaps: what two images show at one place does not correlate"

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.mosaicking.precedence import image_index
 from geomosaic.options.render import BLOCK_HEIGHT, BLOCK_WIDTH, RenderOptions
@@ -18,6 +17,7 @@ from geomosaic.raster.validity import rasterized
 from geomosaic.render.aligned import cell_means, picked
 from geomosaic.render.photo import Photo, Rectifier
 from geomosaic.render.photos import Photos
+from geomosaic.render.regions import map_images
 from geomosaic.resample.warp import Colour, Target, value_range
 from geomosaic.sensor.map_to_image import BlockGround, Ground
 from geomosaic.surface.model import Surface
@@ -77,8 +77,9 @@ def block_samples(photos: Photos, options: RenderOptions, grid: Grid, hidden: Se
     several = min(len(photos), max(FEW_PICTURES, len(photos) // 2), MAX_PICTURES)
     chosen = frozenset(np.linspace(0, len(photos) - 1, several).round().astype(int).tolist())
     pixels: dict[int, Thumbnail] = {}
-    samples = _SamplesOfImage(photos, grid, tuple(hidden), chosen, np.array([each.centre for each in photos.outlines]))
-    for done, (index, (found, single)) in enumerate(map_units(samples, range(len(photos)), options, ahead=1)):
+    centres, areas = np.array([each.centre for each in photos.outlines]), tuple(hidden)
+    samples = map_images(lambda some: _SamplesOfImage(some, grid, areas, chosen, centres), photos, options)
+    for done, (index, (found, single)) in enumerate(samples):
         overlaps.add(index, found)
         if single is not None:
             pixels[index] = single
@@ -102,7 +103,7 @@ class _SamplesOfImage:
         photos, grid = self.photos, self.grid
         window = grid.window_of(photos.outlines[index].bounds)
         single: SinglePixels | None = None
-        ground = _ground_below(grid, photos.block.surface, window)
+        ground = _ground_below(grid, photos.surface, window)
         with photos.using(index) as photo:
             if index in self.chosen:  # pixels besides means, which are hardly ever clipped
                 single = SinglePixels.of_nearest(photo, ground, grid, window, self.centres, index)
@@ -349,7 +350,7 @@ class ThumbnailOfImage:
         photos, grid = self.photos, self.grid
         window = grid.window_of(photos.outlines[index].bounds)
         with photos.using(index) as photo:
-            found = thumbnail(photo, photos.block.surface, grid, window, self.resampling, self.dtype, self.places)
+            found = thumbnail(photo, photos.surface, grid, window, self.resampling, self.dtype, self.places)
         return restricted(found, grid, self.hidden, self.region)
 
 
@@ -422,4 +423,4 @@ def master_index(photos: Photos, master: str | None) -> int | None:
     if master is None:
         return None
     hint = "; a raster besides the images is a reference"
-    return image_index(master, photos.block.scenes, where="`master`", hint=hint)
+    return image_index(master, photos.scenes, where="`master`", hint=hint)

@@ -32,7 +32,7 @@ def _cameras(photos: Photos) -> IntArray:
     """Number of the camera (images,) of each photo: photos of one sensor and of about one size share a camera."""
     known: list[tuple[str, float, float]] = []
     numbers = []
-    for scene in photos.block.scenes:
+    for scene in photos.scenes:
         width, height = scene.model.size
         for number, (sensor, w, h) in enumerate(known):
             if sensor == scene.sensor and abs(width / w - 1) < SIZE_TOLERANCE and abs(height / h - 1) < SIZE_TOLERANCE:
@@ -82,7 +82,7 @@ def sample_positions(photos: Photos, grid: Grid) -> SamplePositions:
 
 def _positions(photos: Photos, index: int, xy: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
     """Positions in the image (N, 2), corners at distance 1, and about the nadir (N, 2), in units of `radius`."""
-    surface, size = photos.block.surface, np.array(photos.block.scenes[index].model.size, dtype=np.float64)
+    surface, size = photos.surface, np.array(photos.scenes[index].model.size, dtype=np.float64)
     with photos.using(index) as photo:
         mapper = photo.mapper
     own = mapper.surface_xy(xy)

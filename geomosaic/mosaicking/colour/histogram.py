@@ -11,7 +11,6 @@ from affine import Affine
 
 from geomosaic.block import OrientedImage, footprint
 from geomosaic.errors import InputError, counted, warn
-from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import balance_change
 from geomosaic.mosaicking.colour.balance import (
@@ -30,6 +29,7 @@ from geomosaic.radiometry.overlaps import Overlap, Thumbnail, overlap_of, partne
 from geomosaic.render.areas import read_areas
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
+from geomosaic.render.regions import map_images
 from geomosaic.resample.warp import value_range
 
 
@@ -70,8 +70,7 @@ def reference_samples(
     low, high, whole = value_range(photos.info.dtype)
     clipped = (low, high) if whole else None
     found, number = [], len(photos)
-    thumbnails = ThumbnailOfImage(photos, coarse, hidden=hidden)
-    for index, piece in map_units(thumbnails, range(number), options, ahead=1):
+    for index, piece in map_images(lambda some: ThumbnailOfImage(some, coarse, hidden=hidden), photos, options):
         pair = overlap_of(index, number, piece, shown, None)
         if pair is not None:
             found.append(_unclipped(pair, clipped))
@@ -176,8 +175,9 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
 
     # Single pixels: means of cells would narrow the distribution.
     places = _places(grid, photos.grid)
-    thumbnails = ThumbnailOfImage(photos, grid, "nearest", photos.info.dtype, places, hidden, region)
-    for done, (_, found) in enumerate(map_units(thumbnails, range(len(photos)), render, ahead=1)):
+    single = photos.info.dtype, places, hidden, region
+    thumbnails = map_images(lambda some: ThumbnailOfImage(some, grid, "nearest", *single), photos, render)
+    for done, (_, found) in enumerate(thumbnails):
         pieces.append(found)
         render.report(done + 1, len(photos), "histograms")
     if reference is not None:
@@ -195,7 +195,7 @@ def match_histograms(photos: Photos, options: MosaicOptions, reference: Oriented
     else:
         curves, alone = match_overlaps(pieces, target)
     if alone:
-        names = ", ".join(photos.block.scenes[i].name for i in alone[:5]) + (" ..." if len(alone) > 5 else "")
+        names = ", ".join(photos.scenes[i].name for i in alone[:5]) + (" ..." if len(alone) > 5 else "")
         warn(f"no overlaps join {names} to the master of the histograms: left as they are")
     lines = [curve.line() for curve in curves]
     before, after, pairs = _differences(pieces, curves)

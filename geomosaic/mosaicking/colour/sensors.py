@@ -56,7 +56,7 @@ def compared_overlaps(photos: Photos, overlaps: Sequence[Overlap]) -> ComparedOv
     -------
     ComparedOverlaps
     """
-    scenes = photos.block.scenes
+    scenes = photos.scenes
     pairs, grey, apart = [], [], []
     for pair in overlaps:
         one, other = scenes[pair.first], scenes[pair.second]
@@ -106,7 +106,7 @@ def with_grey_matched(photos: Photos, solved: Balance, grey: Sequence[Overlap]) 
     """
     samples: dict[int, list[tuple[AnyArray, AnyArray]]] = {}
     for pair in grey:
-        first = is_grey(photos.block.scenes[pair.first])
+        first = is_grey(photos.scenes[pair.first])
         index, other = (pair.first, pair.second) if first else (pair.second, pair.first)
         own, theirs = (pair.a, pair.b) if first else (pair.b, pair.a)
         shown = (solved.gain[other] * theirs + solved.offset[other]).mean(axis=1)
@@ -115,7 +115,7 @@ def with_grey_matched(photos: Photos, solved: Balance, grey: Sequence[Overlap]) 
     curves = [curve for curve in solved.curves or () if isinstance(curve, CorrectionField)]
     for index, parts in sorted(samples.items()):
         own, shown = (np.concatenate(each) for each in zip(*parts, strict=True))
-        name, alike = photos.block.scenes[index].name, _correlations(own[:, None], shown[:, None])[0]
+        name, alike = photos.scenes[index].name, _correlations(own[:, None], shown[:, None])[0]
         if alike < LEAST_CORRELATION or own.std() == 0.0:
             notes.append(f"{name}: its grey values stay, they correlate by {alike:.2f} with the others' mean")
             continue

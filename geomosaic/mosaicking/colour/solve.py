@@ -10,7 +10,6 @@ import numpy as np
 
 from geomosaic.block import OrientedImage
 from geomosaic.errors import listed
-from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.acceptance import (
     OverlapSamples,
@@ -32,6 +31,7 @@ from geomosaic.radiometry.radiometric_change import RadiometricChange
 from geomosaic.render.areas import read_areas
 from geomosaic.render.calibrated import calibration_of
 from geomosaic.render.photos import Photos
+from geomosaic.render.regions import map_images
 from geomosaic.types import FloatArray
 
 # Samples for the selection of terms, which solves many times.
@@ -85,7 +85,7 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
     grid = comparison_grid(photos)
     hidden = () if options.colours.mask is None else read_areas(options.colours.mask, photos.grid)
     block, count = block_samples(photos, options.render, grid, hidden), len(photos)
-    filling = filling_images(photos.block.scenes, options.merge)
+    filling = filling_images(photos.scenes, options.merge)
     # What images change that show next to nothing says nothing of the mosaic.
     pixels = {index: piece for index, piece in block.pixels.items() if index not in filling} or block.pixels
     compared = compared_overlaps(photos, block.overlaps)
@@ -119,7 +119,7 @@ def _solve_colours(photos: Photos, options: MosaicOptions, reference: OrientedIm
 def _notes_of_isolated(photos: Photos, pairs: list[Overlap]) -> list[str]:
     """Note of the images that share too little with others to be compared."""
     met = {i for pair in pairs for i in (pair.first, pair.second)}
-    alone = [scene.name for i, scene in enumerate(photos.block.scenes) if i not in met]
+    alone = [scene.name for i, scene in enumerate(photos.scenes) if i not in met]
     if not alone or len(photos) == 1:
         return []
     if not met:
@@ -146,7 +146,8 @@ def _solve_fields(
     fields = solve_colour_model(views, replace(setting, terms=terms), start.gain, start.offset, linear)
     # Into each field, so that the mosaic is still made in one pass.
     gain, offset = _to_anchor(fields, samples.anchor)
-    made = map_units(partial(correction_field, photos, fields, view_radius(photos)), range(len(photos)), options.render)
+    radius = view_radius(photos)
+    made = map_images(lambda some: partial(correction_field, some, fields, radius), photos, options.render)
     shades = tuple(shade.then(gain, offset) for _, shade in made)
     lines = [shade.line() for shade in shades]
     before, after = _differences(views, fields, gain, len(photos))

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomosaic.errors import InputError
-from geomosaic.execution.units import map_units
 from geomosaic.mosaicking.colour.balance import ThumbnailOfImage, comparison_grid
 from geomosaic.mosaicking.colour.corrections import Correction, corrected, with_gain_offset
 from geomosaic.options.render import RenderOptions
 from geomosaic.render.photos import Photos
+from geomosaic.render.regions import map_images
 from geomosaic.types import FloatArray
 
 DTYPE = "uint8"
@@ -126,7 +126,7 @@ def _corrected_values(photos: Photos, options: RenderOptions, applied: Sequence[
     # From the images before the mosaic is made, so that the stretch goes into each image's correction and the mosaic is
     # still made in one pass.
     grid, parts = comparison_grid(photos), []
-    for index, found in map_units(ThumbnailOfImage(photos, grid), range(len(photos)), options, ahead=1):
+    for index, found in map_images(lambda some: ThumbnailOfImage(some, grid), photos, options):
         values = corrected(applied[index], found.values, found.window, grid, photos.grid)
         parts.append(np.asarray(values[found.valid > 0].ravel()))
     values = np.concatenate(parts) if parts else np.zeros(0)

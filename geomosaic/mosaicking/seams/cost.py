@@ -268,7 +268,7 @@ def seam_cost(
     neighbours = _overlapping_images(candidates)
     order = sorted(neighbours, key=lambda i: (grid.window_of(photos.outlines[i].bounds).row, i))
     held: dict[int, tuple[Window, Features]] = {}
-    terms = partial(_image_terms, photos, grid, part, tuple(colours), weights)
+    terms = partial(_image_terms, photos, grid, part, colours, weights)
     for done, (i, (found, price)) in enumerate(map_units(terms, order, options, ahead=1)):
         own = grid.window_of(photos.outlines[i].bounds).intersection(part)
         held[i], place = (own, found), own.slices_in(part)
@@ -323,7 +323,7 @@ def _image_terms(
 
 def _features_of(photo: Photo, photos: Photos, grid: Grid, window: Window, correction: Correction) -> Features:
     """Features of an image in a window of a coarse grid."""
-    piece = thumbnail(photo, photos.block.surface, grid, window, "average", "float32")
+    piece = thumbnail(photo, photos.surface, grid, window, "average", "float32")
     return features(corrected(correction, piece.values, window, grid, photos.grid), piece.valid > 0)
 
 
@@ -390,7 +390,7 @@ def _cell_heights(photos: Photos, grid: Grid) -> Float32Array:
     from scipy.ndimage import map_coordinates
 
     heights = np.full(grid.shape, np.nan, dtype=np.float32)
-    ground = Ground.under(grid, photos.block.surface)
+    ground = Ground.under(grid, photos.surface)
     if ground.to_surface is None:
         return heights
     for part in grid.window.split(512, 512):

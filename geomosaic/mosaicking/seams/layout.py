@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from geomosaic.options.mosaic import SeamWeights
 from geomosaic.options.render import MEGABYTE, PROGRAM, RenderOptions
 from geomosaic.raster.validity import polygons_of_labels, rasterized
 from geomosaic.render.photos import MemoryBudget, Photos
+from geomosaic.render.sparse import SparseSequence
 from geomosaic.types import IntArray
 
 # Cells across a median footprint: fine enough for seams around houses, coarse enough for blocks of thousands.
@@ -79,6 +80,10 @@ class SeamMethod(ABC):
     def labels(self, part: Subdomain, options: RenderOptions) -> IntArray:
         """Image of each cell (rows, cols) of the window of a subdomain, by number; -1 where there is none."""
 
+    def only(self, near: Collection[int]) -> Self:
+        """Method for subdomains at which these images are at hand."""
+        return replace(self, photos=self.photos.only(near), outlines=SparseSequence(self.outlines, near))
+
     def tiles(self, part: Subdomain) -> Iterator[Any]:
         """Tiles of a subdomain: rows and columns, images at hand (K,), cells each shows (K, N), cell centres (N, 2)."""
         images = [i for i in part.images if not self.outlines[i].is_empty]
@@ -102,15 +107,19 @@ class LeastCostSeams(SeamMethod):
     ----------
     photos, outlines, grid
         See `SeamMethod`.
-    colours : tuple of Correction
+    colours : sequence of Correction
         Of all images: they are compared as they will be seen.
     weights : SeamWeights
     layers : SeamLayers
     """
 
-    colours: tuple[Correction, ...]
+    colours: Sequence[Correction]
     weights: SeamWeights
     layers: SeamLayers
+
+    def only(self, near: Collection[int]) -> Self:
+        """Method for subdomains at which these images are at hand."""
+        return replace(super().only(near), colours=SparseSequence(self.colours, near))
 
     def labels(self, part: Subdomain, options: RenderOptions) -> IntArray:
         """Image of each cell (rows, cols) of the window of a subdomain."""
@@ -154,6 +163,10 @@ class HalvedSeams(SeamMethod):
     """
 
     edges: Sequence[Any]
+
+    def only(self, near: Collection[int]) -> Self:
+        """Method for subdomains at which these images are at hand."""
+        return replace(super().only(near), edges=SparseSequence(self.edges, near))
 
     def labels(self, part: Subdomain, options: RenderOptions) -> IntArray:
         """Image of each cell (rows, cols) of the window of a subdomain."""
@@ -254,7 +267,7 @@ def _laid_out(method: SeamMethod, options: RenderOptions, kept: KeptSeams | None
         windows = [Window(0, 0, 0, 0) if shape.is_empty else grid.window_of(shape.bounds) for shape in outlines]
         alone = replace(options, threads=1, workers=None, progress=None)
         unit = _SubdomainUnit(method, alone, MemoryBudget(options.spare_memory))
-        found = seams_in_turns(grid, windows, unit, options, kept)
+        found = seams_in_turns(grid, windows, unit.only, options, kept)
     of_image: dict[int, list[Any]] = {}
     for polygon, number in found:
         of_image.setdefault(number, []).append(polygon)
@@ -274,6 +287,10 @@ class _SubdomainUnit:
     method: SeamMethod
     options: RenderOptions
     memory: MemoryBudget
+
+    def only(self, near: Collection[int] | None) -> _SubdomainUnit:
+        """The same for subdomains at which these images are at hand; any for None."""
+        return self if near is None else replace(self, method=self.method.only(near))
 
     def __call__(self, part: Subdomain) -> SubdomainSeams:
         with self.memory.reserve(CELL_BYTES * part.window.width * part.window.height):

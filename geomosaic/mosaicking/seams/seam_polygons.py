@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from geomosaic.errors import warn
-from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid
 from geomosaic.mosaicking.colour.balance import ThumbnailOfImage, comparison_grid
 from geomosaic.mosaicking.colour.corrections import Correction
@@ -23,6 +22,7 @@ from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import inspect
 from geomosaic.raster.validity import polygons_of_labels
 from geomosaic.render.photos import Photos
+from geomosaic.render.regions import map_images
 from geomosaic.types import ByteArray
 
 # Of a pixel: far below what pixels can show, far above the last digits that a GIS changes on saving.
@@ -91,7 +91,7 @@ def _automatic(
     """Computed seam polygons: images of a rank divide what those of the ranks before them leave."""
     import shapely
 
-    scenes, outlines = photos.block.scenes, photos.outlines
+    scenes, outlines = photos.scenes, photos.outlines
     if options.seamlines.seams == "order":
         return visible_regions(shapes, image_order(scenes, outlines, options.merge))
     ranks = image_ranks(scenes, outlines, options.merge)
@@ -185,14 +185,14 @@ def valid_outlines(photos: Photos, options: RenderOptions) -> list[Any]:
     # it.
     shapes: list[Any] = [outline.polygon for outline in photos.outlines]
     masked = [
-        i for i, scene in enumerate(photos.block.scenes)
+        i for i, scene in enumerate(photos.scenes)
         if scene.nodata is not None or scene.clouds is not None or inspect(scene.path, scene.bands).masked
     ]  # fmt: skip
     if not masked or len(photos) == 1:
         return shapes
     grid = comparison_grid(photos, CELLS)
     empty = []
-    for i, (found, shown) in map_units(partial(_valid_outline, photos, grid), masked, options, ahead=1):
+    for i, (found, shown) in map_images(lambda some: partial(_valid_outline, some, grid), photos, options, masked):
         if found is not None:
             shapes[i] = found
         elif not shown:

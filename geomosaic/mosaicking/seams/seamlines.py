@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Window
 from geomosaic.matching.shifts import shifts
 from geomosaic.mosaicking.blending.block import Blender
 from geomosaic.mosaicking.colour.corrections import corrected
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.source import Source
+from geomosaic.render.regions import map_by_regions
 from geomosaic.resample.warp import Colour, Target
 from geomosaic.types import AnyArray, BoolArray
 
@@ -189,8 +189,12 @@ def measure_seams(blender: Blender, segments: Sequence[Segment], options: Render
     list of SeamQuality
         One per segment.
     """
-    found = []
-    for done, (_, quality) in enumerate(map_units(partial(_measured, blender), segments, options)):
+    found, images = [], len(blender.photos)
+    measured = map_by_regions(
+        lambda near: partial(_measured, blender if near is None else blender.only(near)), segments,
+        lambda segment: (segment.first, segment.second), images, options,
+    )  # fmt: skip
+    for done, (_, quality) in enumerate(measured):
         found.append(quality)
         options.report(done + 1, len(segments), "seam quality")
     return found

@@ -10,17 +10,17 @@ B. Smith, P. Bjørstad, W. Gropp, *Domain Decomposition*, Cambridge University P
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
-from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.window_index import WindowIndex
 from geomosaic.options.render import RenderOptions
+from geomosaic.render.regions import map_by_regions
 from geomosaic.types import IntArray
 
 # Side in cells of a core, and of what is looked at beyond it where nothing is decided: about half a footprint.
@@ -123,7 +123,7 @@ def rims_of(core: Window, labels: IntArray) -> list[Rim]:
 def seams_in_turns(
     grid: Grid,
     windows: Sequence[Window],
-    function: Callable[[Subdomain], SubdomainSeams],
+    function_of: Callable[[Collection[int] | None], Callable[[Subdomain], SubdomainSeams]],
     options: RenderOptions,
     kept: KeptSeams | None = None,
 ) -> Iterator[tuple[Any, int]]:
@@ -135,8 +135,8 @@ def seams_in_turns(
         Of the seams' cells.
     windows : sequence of Window
         Cells of what each image shows; empty for images that are left out.
-    function : callable
-        Seams of a subdomain.
+    function_of : callable
+        Function that lays the seams of subdomains at which these images are at hand; any for None.
     options : RenderOptions
         Threads, workers and progress.
     kept : KeptSeams, optional
@@ -176,7 +176,8 @@ def seams_in_turns(
                 found[place] = known
         reused, done = reused + len(found), done + len(found)
         left = [place for place in places if place not in found]
-        units = map_units(function, (parts[place] for place in left), options, ahead=1)
+        wanted = (parts[place] for place in left)
+        units = map_by_regions(function_of, wanted, lambda part: part.images, len(windows), options, ahead=1)
         for place, (part, seams) in zip(left, units, strict=True):
             found[place] = seams
             if kept is not None:
