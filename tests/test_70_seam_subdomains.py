@@ -25,6 +25,7 @@ from geomosaic.mosaicking.seams import cost, layout, subdomains
 from geomosaic.mosaicking.seams.subdomains import FREE, OUTSIDE, RIM, Subdomain, SubdomainSeams, rims_of, seams_in_turns
 from geomosaic.options.render import RenderOptions
 from geomosaic.raster.vector import Layer, read_layer, write_layers
+from geomosaic.render import regions
 
 LEFT, TOP, WIDTH, HEIGHT, RIGHT, DOWN, COLS, ROWS = 500_000.0, 5_500_000.0, 260, 220, 150, 120, 4, 3
 LEAN = 0.12
@@ -69,6 +70,7 @@ class Mosaics:
                 for constant, value in SMALL.items():
                     patch.setattr(subdomains, constant, value)
                 patch.setattr(layout, "LARGEST", largest)
+                patch.setattr(regions, "MOST_IMAGES", 4)  # workers get those of a few subdomains
                 out = self.folder / f"{name}.tif"
                 gm.mosaic(self.block, out, resolution=1.0, balance=False, feather=0.0, seams=seams, stac=False, **how)
             shares = list(read_layer(out.with_suffix(".gpkg"), "seams").geometry)
