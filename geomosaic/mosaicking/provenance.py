@@ -8,8 +8,8 @@ every other sensor's, are the difference of one map: image(x, y, z) − image(x,
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomosaic.digests import sha256
-from geomosaic.execution.units import map_units
 from geomosaic.geo.grid import Grid, Window
 from geomosaic.geo.units import metres_per_unit
 from geomosaic.options.render import RenderOptions
@@ -29,7 +28,7 @@ from geomosaic.raster.sink import RasterSink
 from geomosaic.raster.source import Source
 from geomosaic.render.photo import Photo
 from geomosaic.render.photos import Photos
-from geomosaic.render.regions import map_images
+from geomosaic.render.regions import map_by_regions, map_images
 from geomosaic.sensor.map_to_image import Views, views
 from geomosaic.types import FloatArray
 
@@ -123,10 +122,8 @@ def write_views(path: Path, labels: Path, photos: Photos, options: RenderOptions
     with Source(str(labels)) as source, _sink(path, BANDS, photos.grid, options) as sink:
         same = reuse is not None and reuse.views and sink.reuse_tiles_of(path)
         kept = {part for unit in reuse.taken for part in unit.split(TILE, TILE)} if same and reuse else set()
-        made = map_units(
-            _LabelledUnits(photos, source, sink.tiler, len(BANDS), _views_in),
-            [unit for unit in units if unit not in kept], options,
-        )  # fmt: skip
+        work = _LabelledUnits(photos, source, sink.tiler, len(BANDS), _views_in)
+        made = work.over([unit for unit in units if unit not in kept], options)
         for done, unit in enumerate(units):
             if unit in kept:
                 sink.keep(unit)
@@ -156,6 +153,13 @@ class _LabelledUnits:
     tiler: WindowTiler
     bands: int
     values: _ValuesOf
+
+    def over(self, units: Sequence[Window], options: RenderOptions) -> Iterator[tuple[Window, WindowTiles]]:
+        """Tiles of units, computed wherever the options say."""
+        photos = self.photos
+        return map_by_regions(
+            lambda near: replace(self, photos=photos.only(near)), units, photos.near, len(photos), options
+        )
 
     def __call__(self, window: Window) -> WindowTiles:
         label = self.labels.read(window)[0][..., 0]
@@ -281,7 +285,7 @@ def write_displacement(path: Path, labels: Path, photos: Photos, level: float, o
     with Source(str(labels)) as source, _sink(path, DISPLACEMENT_BANDS, photos.grid, options) as sink:
         values = partial(_displacement_in, level)
         work = _LabelledUnits(photos, source, sink.tiler, len(DISPLACEMENT_BANDS), values)
-        for done, (_, made) in enumerate(map_units(work, units, options)):
+        for done, (_, made) in enumerate(work.over(units, options)):
             sink.add(made)
             options.report(done + 1, len(units), "displacement")
         sink.finish()

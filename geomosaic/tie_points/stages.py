@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from geomosaic.block import OrientedImage
 from geomosaic.block_adjustment.start import StartBlock
 from geomosaic.digests import digest_of, sha256, source_digest
 from geomosaic.execution.units import map_units
@@ -33,6 +32,7 @@ from geomosaic.tie_points.refinement import Approximations, RefinedTracks, refin
 from geomosaic.tie_points.screening import area_test, ground_matches
 from geomosaic.tie_points.units import Made, Matcher, PairOfFeatures
 from geomosaic.types import BoolArray, FloatArray, IntArray, Progress
+from geomosaic.whole_files import absolute
 
 # Pixels of the reduced image within which the place of a feature is found again.
 NEAR_PIXELS = 2.0
@@ -69,7 +69,7 @@ class Stages:
         import cv2
 
         options, made_by = self.options, (source_digest(__name__), cv2.__version__)
-        contents = map_units(partial(_content, self.start.scenes), range(len(self.start.scenes)), options)
+        contents = map_units(_content, [(absolute(one.path), one.bands) for one in self.start.scenes], options)
         return [
             (content, scene.nodata, scene.bands, scene.usable,
              None if scene.clouds is None else (scene.clouds, sha256(scene.clouds.path)), options.match_size,
@@ -223,11 +223,10 @@ def _shrinkage(size: tuple[int, int], longest: int) -> int:
     return max(1, round(max(size) / longest))
 
 
-def _content(scenes: Sequence[OrientedImage], number: int) -> str:
+def _content(image: tuple[str, tuple[int, ...] | None]) -> str:
     """Digest of an image, of the files beside it that count (masks, sources of a VRT), and of what they say of it."""
-    scene = scenes[number]
-    path = to_path(scene.path)
-    beside = companions(path, scene.bands)
+    path, bands = to_path(image[0]), image[1]
+    beside = companions(path, bands)
     return digest_of(*map(sha256, (path, *beside.files)), asdict(beside.metadata))
 
 
