@@ -115,7 +115,7 @@ def test_the_note_of_misregistered_radar_says_that_two_sides_never_correlate() -
     radar, photo = SimpleNamespace(sensor_positions=len), SimpleNamespace()
     for model, told in ((radar, True), (photo, False)):
         scenes = [SimpleNamespace(name=f"{i}.tif", model=model) for i in range(COUNT)]
-        (note,) = misregistration_notes(SimpleNamespace(block=SimpleNamespace(scenes=scenes)), [pair], 5, 2.0)  # type: ignore[arg-type]
+        (note,) = misregistration_notes(SimpleNamespace(scenes=scenes), [pair], 5, 2.0)  # type: ignore[arg-type]
         assert note.startswith("misregistered, 1 of 5 overlaps")
         assert ("radar from two sides" in note) == told
 

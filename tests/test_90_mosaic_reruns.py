@@ -14,9 +14,9 @@ from project_rig import PHOTOS, edit_south, make_project
 from scipy.ndimage import distance_transform_edt
 
 from geomosaic.cli.main import run
-from geomosaic.execution.units import map_units
 from geomosaic.options.render import CELL
 from geomosaic.raster.vector import read_layer
+from geomosaic.render.regions import map_by_regions
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +51,11 @@ def test_the_first_run_computes_all(done):
 def test_an_edited_seam_costs_what_it_touches(own, tell, tmp_path, monkeypatch):
     asked = []
 
-    def noted(function, items, options, ahead=3):
-        asked.append(options.threads)
-        return map_units(function, items, options, ahead)
+    def noted(*parts):
+        asked.append(parts[-1].threads)
+        return map_by_regions(*parts)
 
-    monkeypatch.setattr("geomosaic.mosaicking.rendering.map_units", noted)
+    monkeypatch.setattr("geomosaic.mosaicking.rendering.map_by_regions", noted)
     before = hashes(own)
     edit_south(own)
     code, out, _ = tell("run", own, "mosaic", "--threads", "16")

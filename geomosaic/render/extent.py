@@ -13,6 +13,7 @@ from pyproj import CRS
 
 from geomosaic.block import Footprint, OrientedImage, footprint
 from geomosaic.errors import InputError, warn
+from geomosaic.execution.units import map_units
 from geomosaic.geo.crs import crs_name, geographic, horizontal, longitude_latitude_crs
 from geomosaic.geo.engineering_crs import image_frame_crs
 from geomosaic.geo.grid import Bounds, Grid
@@ -20,8 +21,6 @@ from geomosaic.geo.projection_domain import GREAT, area_of_use, beyond, domain, 
 from geomosaic.geo.transform import Transform
 from geomosaic.options.render import RunningOptions
 from geomosaic.raster.info import inspect
-from geomosaic.render.regions import map_by_regions
-from geomosaic.render.sparse import SparseSequence
 from geomosaic.surface.model import Surface
 
 # Times that a metre on the ground may grow in the output, or be longer in one direction than in the other.
@@ -108,11 +107,16 @@ def footprints(
     """
     # One after the other where threads do: each of them would make its own transformations.
     running = RunningOptions(threads=1) if running is None else replace(running, threads=1)
-    found = map_by_regions(
+    if running.workers is None:
+        return [found for _, found in map_units(partial(_footprint, scenes, surface, crs), range(len(scenes)), running)]
+    from geomosaic.render.regions import map_by_regions
+    from geomosaic.render.sparse import SparseSequence
+
+    made = map_by_regions(
         lambda near: partial(_footprint, scenes if near is None else SparseSequence(scenes, near), surface, crs),
         range(len(scenes)), lambda number: (number,), len(scenes), running,
     )  # fmt: skip
-    return [outline for _, outline in found]
+    return [found for _, found in made]
 
 
 def _footprint(scenes: Sequence[OrientedImage], surface: Surface | None, crs: CRS, number: int) -> Footprint:
